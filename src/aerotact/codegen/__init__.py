@@ -1,0 +1,1 @@
+"""Law, Estimator or Ocp -> standalone C project -> shared library."""

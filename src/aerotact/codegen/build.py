@@ -1,0 +1,77 @@
+"""C project -> shared library, compiled once per content and kept in a cache."""
+
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from aerotact.codegen.project import CProject
+from aerotact.exceptions import CodegenError, CompilerNotFound
+
+FLAGS = ("-std=c99", "-O2", "-march=native", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-pedantic")
+_CANDIDATES = ("cc", "gcc", "clang")
+
+
+def find_compiler() -> list[str]:
+    """The C compiler: $CC, else cc, gcc or clang, as a command line.
+
+    Raises:
+        CompilerNotFound: there is none.
+    """
+    chosen = os.environ.get("CC")
+    tried = (chosen,) if chosen else _CANDIDATES
+    for candidate in tried:
+        words = shlex.split(candidate)
+        if words and shutil.which(words[0]):
+            return words
+    raise CompilerNotFound(tried)
+
+
+def cache_folder() -> Path:
+    """Where compiled libraries are kept: $AEROTACT_CACHE, else $XDG_CACHE_HOME/aerotact, else ~/.cache/aerotact."""
+    chosen = os.environ.get("AEROTACT_CACHE")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "aerotact"
+
+
+def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS) -> Path:
+    """Shared library of the project; compiled if the cache has none of the same content, compiler, flags and machine.
+
+    Raises:
+        CompilerNotFound: no C compiler.
+        CodegenError: the compiler failed; the message has its first lines.
+    """
+    compiler = find_compiler()
+    key = hashlib.sha256("\0".join([project.digest, *compiler, *flags, _processor()]).encode()).hexdigest()[:24]
+    library = cache_folder() / f"{project.name}-{key}.so"
+    if library.is_file():
+        return library
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="aerotact-") as scratch:
+        root = Path(scratch)
+        project.write(root / "project")
+        built = root / library.name
+        command = [*compiler, *flags, "-fPIC", "-shared", "-Iinclude", "-Isrc", *project.sources, "-lm", "-o", str(built)]
+        done = subprocess.run(command, cwd=root / "project", capture_output=True, text=True, check=False)
+        if done.returncode:
+            first = "\n".join(done.stderr.splitlines()[:12])
+            raise CodegenError(f"{project.name}: {shlex.join(command)} failed with {done.returncode}:\n{first}")
+        # A rename within the cache is atomic, so that two processes may build the same library.
+        partial = library.with_suffix(f".{os.getpid()}.part")
+        shutil.copy2(built, partial)
+        partial.replace(library)
+    return library
+
+
+def _processor() -> str:
+    """What -march=native depends on."""
+    try:
+        flags = next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Features")))
+    except (OSError, StopIteration):
+        flags = platform.processor()
+    return f"{platform.machine()} {flags}"

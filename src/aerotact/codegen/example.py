@@ -1,0 +1,142 @@
+"""The example that every C project carries: the model of the robot at hover, and what its sensors would say, as C."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from aerotact.codegen.functions import emit, number, signature
+from aerotact.dynamics import so3
+from aerotact.dynamics.model import Model
+from aerotact.exceptions import CodegenError
+from aerotact.ports import Array, Layout
+
+SECONDS = 4.0
+SUBSTEPS = 4
+OFFSET = np.array([0.05, 0.0, 0.0])
+_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N"}
+
+
+@dataclass(frozen=True)
+class Example:
+    """What the templates of `example/` need beside the block itself."""
+
+    context: dict[str, Any]
+    source: str
+    header: str
+
+
+def signals(model: Model, x: Any) -> dict[str, Any]:
+    """Every measurement by name, without noise, of the undisturbed model in state x (a CasADi column)."""
+    s = model.state.split(x)
+    a_WB, dw_B = model.accelerations(x, ca.DM.zeros(model.disturbance.size))
+    lever = ca.DM(model.robot.p_BI)
+    R_BW = so3.rotation(s["q_WB"]).T
+    w_B = s["w_B"]
+    gravity_W = ca.DM([0, 0, -model.robot.gravity])
+    specific_force = ca.mtimes(R_BW, a_WB - gravity_W) + ca.cross(dw_B, lever) + ca.cross(w_B, ca.cross(w_B, lever))
+    p_WE, q_WE = model.tool_pose(x)
+    v_WE, w_E = model.tool_twist(x)
+    zero = ca.DM.zeros(3)
+    return {
+        **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B")},
+        "thrust_measured": s["thrust"],
+        "accelerometer_B": specific_force,
+        "specific_force_B": specific_force,
+        "gyro_B": w_B,
+        "mocap_p_WB": s["p_WB"],
+        "mocap_q_WB": s["q_WB"],
+        "mocap_fresh": ca.DM(1),
+        **{name: zero for name in ("f_ext_W", "tau_ext_B", "f_tool_W", "tau_tool_W")},
+        "p_WE": p_WE,
+        "q_WE": q_WE,
+        "v_WE": v_WE,
+        "w_E": w_E,
+    }
+
+
+def make_example(
+    name: str, model: Model, rate: float, measurement: Layout, reference: Layout, output: Layout, limited: bool
+) -> Example:
+    """C of the model at `rate` Hz under a held thrust command, its measurements, and the references of hover.
+
+    Raises:
+        CodegenError: a measurement port that no sensor gives.
+    """
+    x0 = model.hover_state
+    x = ca.SX.sym("x", model.state.size)
+    known = signals(model, x)
+    unknown = [p.name for p in measurement if p.name not in known]
+    if unknown:
+        raise CodegenError(f"{name}: no signal {', '.join(unknown)}; known: {', '.join(sorted(known))}")
+    measure = ca.vertcat(*[known[p.name] for p in measurement])
+    judged = "p_WE" if any(p.name.startswith("p_WE") for p in reference) else "p_WB"
+    functions = [
+        (ca.Function("measure", [x], [ca.densify(measure)]), f"{name}_example_measure", ["x"], ["y"]),
+    ]
+    if limited:
+        command = ca.SX.sym("command", model.rotors)
+        after = _held_step(model, x, command, 1.0 / rate)
+        functions.append((ca.Function("plant", [x, command], [after]), f"{name}_example_plant", ["x", "c"], ["x_next"]))
+        functions.append((ca.Function("tool", [x], [ca.densify(known[judged])]), f"{name}_example_tool", ["x"], ["at"]))
+    at_hover = {k: np.ravel(v.full()) for k, v in _evaluate(known, x, x0).items()}
+    wanted = {"p_WE_d": "p_WE", "q_WE_d": "q_WE", "p_WB_r": "p_WB", "q_WB_r": "q_WB"}
+    constants = {p.name: at_hover[wanted[p.name]] for p in reference if p.name in wanted}
+    estimate = next((n for n in _JUDGED if n in output), "")
+    goal = at_hover[judged] if limited or estimate != "f_ext_W" else np.zeros(3)
+    start = x0 + np.concatenate([OFFSET if limited else np.zeros(3), np.zeros(x0.size - 3)])
+    header = "\n".join(
+        [
+            f"/* The model of {model.robot.name}, for the example. */",
+            f"#ifndef {name.upper()}_PLANT_H\n#define {name.upper()}_PLANT_H",
+            "#ifdef __cplusplus\nextern \"C\" {\n#endif",
+            *[signature(n, a, r) + ";" for _, n, a, r in functions],
+            *[
+                f"static const double {name}_example_{key}[{value.size}] = {{{', '.join(map(number, value.tolist()))}}};"
+                for key, value in constants.items()
+            ],
+            "#ifdef __cplusplus\n}\n#endif\n#endif\n",
+        ]
+    )
+    source = "\n".join(
+        [
+            f'#include "{name}_plant.h"\n\n#include <math.h>\n',
+            *[emit(f, n, a, r, lambda _: "") for f, n, a, r in functions],
+        ]
+    )
+    context = {
+        "nx": x0.size,
+        "x0": [number(v) for v in start],
+        "goal": [number(v) for v in goal.tolist()],
+        "steps": round(SECONDS * rate),
+        "measurement_size": measurement.size,
+        "reference": [{"name": p.name, "nodes": p.nodes} for p in reference if p.name in constants],
+        "estimate": estimate,
+        "unit": _JUDGED.get(estimate, "m"),
+    }
+    return Example(context, source, header)
+
+
+def _evaluate(expressions: dict[str, Any], x: Any, value: Array) -> dict[str, Any]:
+    results = ca.Function("f", [x], list(expressions.values()))(value)
+    return dict(zip(expressions, results, strict=True))
+
+
+def _held_step(model: Model, x: Any, command: Any, period: float) -> Any:
+    """State after `period` under a held command: Runge-Kutta of order four, the rotors' lag in the derivative."""
+    zero = ca.DM.zeros(model.disturbance.size)
+    n = model.state.size
+
+    def f(state: Any) -> Any:
+        thrust = state[n - model.rotors :]
+        return model.derivative(state, (command - thrust) / ca.DM(model.time_constants), zero)
+
+    h = period / SUBSTEPS
+    for _ in range(SUBSTEPS):
+        k1 = f(x)
+        k2 = f(x + h / 2 * k1)
+        k3 = f(x + h / 2 * k2)
+        k4 = f(x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.vertcat(x[0:3], so3.unit(x[3:7]), x[7:])

@@ -1,0 +1,218 @@
+"""Model: the symbolic equations of motion of a rigid aerial robot with lagging rotors, derived from its compiled MJCF.
+
+State x:    p_WB(3) q_WB(4) v_WB(3) w_B(3) thrust(n)
+Control u:  thrust_rate(n), the rate of the actual thrust; the command that causes it is thrust + time_constant * u
+Parameter p: f_ext_W(3), tau_ext_B(3): wrench of the environment on the robot at its centre of mass
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from aerotact.dynamics import so3
+from aerotact.dynamics.rotors import allocation, allocation_rank
+from aerotact.exceptions import MissingCapability
+from aerotact.ports import Array, Layout, Port
+from aerotact.robot import HOVER_KEYFRAME, Robot
+
+
+@dataclass(frozen=True)
+class Model:
+    """Named layouts, equations of motion, manifold and tool kinematics of one robot, as CasADi expressions."""
+
+    robot: Robot
+
+    @cached_property
+    def state(self) -> Layout:
+        """Layout of x."""
+        return Layout(
+            [
+                Port("p_WB", 3, "m", "W", "position of the base"),
+                Port("q_WB", 4, "1", "W", "attitude of the base", kind="quaternion"),
+                Port("v_WB", 3, "m/s", "W", "velocity of the base"),
+                Port("w_B", 3, "rad/s", "B", "angular velocity of the base"),
+                Port("thrust", self.rotors, "N", "", "actual thrusts", default=tuple(self.robot.hover_thrust)),
+            ]
+        )
+
+    @cached_property
+    def control(self) -> Layout:
+        """Layout of u."""
+        return Layout([Port("thrust_rate", self.rotors, "N/s", "", "rates of the actual thrusts")])
+
+    @cached_property
+    def disturbance(self) -> Layout:
+        """Layout of p."""
+        return Layout(
+            [
+                Port("f_ext_W", 3, "N", "W", "force of the environment on the robot"),
+                Port("tau_ext_B", 3, "N m", "B", "torque of the environment on the robot about its centre of mass"),
+            ]
+        )
+
+    @property
+    def rotors(self) -> int:
+        """Number of rotors."""
+        return len(self.robot.rotors)
+
+    @property
+    def tangent_size(self) -> int:
+        """Coordinates of dx: one fewer than x, for the attitude."""
+        return self.state.size - 1
+
+    @cached_property
+    def capabilities(self) -> frozenset[str]:
+        """What laws and OCPs may need: six_axis_wrench, tool."""
+        found = set()
+        if allocation_rank(self.robot) == 6:
+            found.add("six_axis_wrench")
+        if self.robot.has_tool:
+            found.add("tool")
+        return frozenset(found)
+
+    def require(self, needs: tuple[str, ...] | list[str], who: str) -> None:
+        """Check capabilities.
+
+        Raises:
+            MissingCapability: names who needs what, and what the robot has.
+        """
+        lacking = [n for n in needs if n not in self.capabilities]
+        if lacking:
+            raise MissingCapability(
+                f"{who} needs {', '.join(lacking)}, which robot '{self.robot.name}' ({self.robot.folder}) lacks; "
+                f"it has: {', '.join(sorted(self.capabilities)) or 'none'}"
+            )
+
+    @cached_property
+    def hover_state(self) -> Array:
+        """State x of the hover keyframe, shape (nx,)."""
+        mj = self.robot.mjmodel
+        start = mj.jnt_qposadr[mj.body_jntadr[self.robot.base_id]]
+        pose = mj.key(HOVER_KEYFRAME).qpos[start : start + 7]
+        return self.state.pack({"p_WB": pose[:3], "q_WB": pose[3:]})
+
+    # limits, all of shape (n,)
+
+    @cached_property
+    def thrust_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest thrust, N."""
+        lower, upper = zip(*(r.thrust for r in self.robot.rotors), strict=True)
+        return np.array(lower), np.array(upper)
+
+    @cached_property
+    def thrust_rate_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest rate of the actual thrust, N/s."""
+        lower, upper = zip(*(r.thrust_rate for r in self.robot.rotors), strict=True)
+        return np.array(lower), np.array(upper)
+
+    @cached_property
+    def time_constants(self) -> Array:
+        """Rotor lags, s."""
+        return np.array([r.time_constant for r in self.robot.rotors])
+
+    # equations
+
+    @cached_property
+    def _allocation(self) -> Any:
+        return ca.sparsify(ca.DM(allocation(self.robot)))
+
+    def rotor_wrench(self, thrust: Any) -> tuple[Any, Any]:
+        """Force, N, and torque about the centre of mass, N m, of the rotors, in B; ryll2019 (8)-(9)."""
+        wrench = ca.mtimes(self._allocation, thrust)
+        return wrench[0:3], wrench[3:6]
+
+    def accelerations(self, x: Any, p: Any) -> tuple[Any, Any]:
+        """Newton-Euler about the centre of mass, ryll2019 (10), moved to the base's origin.
+
+        Returns:
+            a_WB (3,) m/s2 in W of the base's origin, and dw_B (3,) rad/s2 in B.
+        """
+        s, d = self.state.split(x), self.disturbance.split(p)
+        R_WB = so3.rotation(s["q_WB"])
+        f_B, tau_B = self.rotor_wrench(s["thrust"])
+        w, J, c = s["w_B"], ca.sparsify(ca.DM(_clean(self.robot.J_C))), ca.sparsify(ca.DM(_clean(self.robot.p_BC)))
+        J_inverse = ca.sparsify(ca.DM(_clean(np.linalg.inv(self.robot.J_C))))
+        dw = ca.mtimes(J_inverse, tau_B + d["tau_ext_B"] - ca.cross(w, ca.mtimes(J, w)))
+        a_WC = (ca.mtimes(R_WB, f_B) + d["f_ext_W"]) / self.robot.mass - ca.DM([0, 0, self.robot.gravity])
+        a_WB = a_WC - ca.mtimes(R_WB, ca.cross(dw, c) + ca.cross(w, ca.cross(w, c)))
+        return a_WB, dw
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """dx/dt for thrust rates u and external wrench p."""
+        s = self.state.split(x)
+        a_WB, dw = self.accelerations(x, p)
+        return ca.vertcat(s["v_WB"], so3.quaternion_rate(s["q_WB"], s["w_B"]), a_WB, dw, u)
+
+    def command(self, x: Any, u: Any) -> Any:
+        """Thrust command, N, that gives the thrust rates u now: the inverse of the rotor lag."""
+        return self.state.split(x)["thrust"] + ca.DM(self.time_constants) * u
+
+    # manifold
+
+    def retract(self, x: Any, dx: Any) -> Any:
+        """x (+) dx with dx = [dp, sigma, dv, dw, dT]; sigma as in dynamics.so3."""
+        n = self.state.size
+        return ca.vertcat(x[0:3] + dx[0:3], so3.retract(x[3:7], dx[3:6]), x[7:n] + dx[6 : n - 1])
+
+    def local(self, x_from: Any, x_to: Any) -> Any:
+        """dx with x_from (+) dx = x_to."""
+        n = self.state.size
+        return ca.vertcat(x_to[0:3] - x_from[0:3], so3.local(x_from[3:7], x_to[3:7]), x_to[7:n] - x_from[7:n])
+
+    # tool
+
+    def tool_pose(self, x: Any) -> tuple[Any, Any]:
+        """Tool position p_WE (3,), m, and attitude q_WE (4,)."""
+        s = self.state.split(x)
+        p_WE = s["p_WB"] + ca.mtimes(so3.rotation(s["q_WB"]), ca.DM(self.robot.p_BE))
+        return p_WE, so3.product(s["q_WB"], ca.DM(self.q_BE))
+
+    def tool_twist(self, x: Any) -> tuple[Any, Any]:
+        """Tool velocity v_WE (3,), m/s in W, and angular velocity w_E (3,), rad/s in E."""
+        s = self.state.split(x)
+        v_WE = s["v_WB"] + ca.mtimes(so3.rotation(s["q_WB"]), ca.cross(s["w_B"], ca.DM(self.robot.p_BE)))
+        return v_WE, ca.mtimes(ca.DM(_clean(self.robot.R_BE.T)), s["w_B"])
+
+    @cached_property
+    def q_BE(self) -> Array:
+        """Attitude of the tool in B, wxyz."""
+        return quaternion_from_matrix(self.robot.R_BE)
+
+    def tool_jacobian(self, x: Any) -> Any:
+        """Matrix (6, 6) from [v_WB; w_B] to [v_WE; w_E]."""
+        twist = ca.vertcat(*self.tool_twist(x))
+        return ca.jacobian(twist, x)[:, 7:13]
+
+    @cached_property
+    def function(self) -> Any:
+        """CasADi function (x, u, p) -> dx/dt."""
+        x, u, p = (ca.SX.sym(n, layout.size) for n, layout in zip("xup", self.layouts, strict=True))
+        return ca.Function("f", [x, u, p], [self.derivative(x, u, p)], ["x", "u", "p"], ["xdot"])
+
+    @property
+    def layouts(self) -> tuple[Layout, Layout, Layout]:
+        """Layouts of x, u and p."""
+        return self.state, self.control, self.disturbance
+
+
+def _clean(matrix: Array) -> Array:
+    """Rounding dust removed, so that structural zeros are seen."""
+    scale = np.abs(matrix).max() or 1.0
+    return np.where(np.abs(matrix) < 1e-15 * scale, 0.0, matrix)
+
+
+def quaternion_from_matrix(R: Array) -> Array:
+    """Unit quaternion wxyz with w >= 0 of a rotation matrix."""
+    # The eigenvector of the largest eigenvalue of a symmetric 4x4 matrix (Bar-Itzhack); well conditioned at any angle.
+    K = np.empty((4, 4))
+    K[0, 0] = np.trace(R)
+    K[0, 1:] = K[1:, 0] = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
+    K[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
+    q = np.linalg.eigh(K)[1][:, -1]
+    q = np.where(np.abs(q) < 1e-15, 0.0, q)
+    if q[0] < 0 or (q[0] == 0 and q[np.flatnonzero(q)[0]] < 0):
+        q = -q
+    return np.asarray(q / np.linalg.norm(q))

@@ -1,0 +1,1 @@
+"""Model + ocp file -> Ocp: residuals, constraints, transcription."""

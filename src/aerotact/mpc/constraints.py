@@ -1,0 +1,46 @@
+"""Constraints: the limits that an optimal control problem may keep, by name."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerotact.dynamics.model import Model
+from aerotact.ports import Array
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Simple bounds of an OCP.
+
+    Attributes:
+        states: indices into x of the bounded states, all of them plain coordinates (none of the attitude).
+        x_lower, x_upper: their bounds, shape (len(states),).
+        u_lower, u_upper: bounds of the controls, shape (nu,), infinite where there is none.
+        command: the thrust command of the first interval is bounded too.
+    """
+
+    states: tuple[int, ...]
+    x_lower: Array
+    x_upper: Array
+    u_lower: Array
+    u_upper: Array
+    command: bool
+
+
+CONSTRAINTS = {
+    "thrust": "lowest and highest thrust at every node, and of the command that is sent",
+    "thrust_rate": "lowest and highest rate of the actual thrust",
+}
+
+
+def make_bounds(model: Model, names: list[str]) -> Bounds:
+    """Bounds of the named constraints (each a key of CONSTRAINTS)."""
+    n = model.rotors
+    where = model.state.slice("thrust")
+    unbounded = np.full(n, np.inf)
+    thrust, rate = "thrust" in names, "thrust_rate" in names
+    lower, upper = model.thrust_limits if thrust else (np.zeros(0), np.zeros(0))
+    u_lower, u_upper = model.thrust_rate_limits if rate else (-unbounded, unbounded)
+    return Bounds(
+        tuple(range(where.start, where.stop)) if thrust else (), lower, upper, u_lower, u_upper, command=thrust
+    )

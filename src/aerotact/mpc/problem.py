@@ -1,0 +1,108 @@
+"""The ocp file: one optimal control problem, validated."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from aerotact.exceptions import ProblemError
+from aerotact.resources import find_problem
+
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Horizon(_Strict):
+    """[problem]: what it needs, its grid and its rate.
+
+    Attributes:
+        doc: one line.
+        needs: capabilities of the model.
+        times: nodes of the horizon, s, from 0; the first interval is one period of the controller.
+        steps, duration: a uniform grid instead of `times`.
+        rate: Hz at which the controller runs.
+        fallback: the law that takes over after `max_failures` failed steps.
+        terminal: seconds by which the residuals of the last node count.
+    """
+
+    doc: str = "model predictive controller"
+    needs: list[str] = Field(default_factory=list)
+    times: list[float] | None = None
+    steps: int | None = Field(default=None, gt=0, le=500)
+    duration: float | None = Field(default=None, gt=0)
+    rate: float = Field(gt=0)
+    fallback: str
+    max_failures: int = Field(default=5, ge=0)
+    terminal: float = Field(default=0.1, ge=0)
+
+    @model_validator(mode="after")
+    def _one_grid(self) -> "Horizon":
+        if (self.times is None) == (self.steps is None):
+            raise ValueError("give either times, or steps and duration")
+        if self.steps is not None and self.duration is None:
+            raise ValueError("steps needs a duration")
+        nodes = self.nodes
+        if len(nodes) < 2 or nodes[0] != 0 or any(b <= a for a, b in zip(nodes, nodes[1:], strict=False)):
+            raise ValueError("times must start at 0 and increase, with at least two nodes")
+        if abs(nodes[1] * self.rate - 1) > 1e-9:
+            raise ValueError(f"the first interval is {nodes[1]:g} s; it must be one period, {1 / self.rate:g} s")
+        return self
+
+    @property
+    def nodes(self) -> list[float]:
+        """Nodes of the horizon, s."""
+        if self.times is not None:
+            return self.times
+        assert self.steps is not None
+        assert self.duration is not None
+        return [self.duration * k / self.steps for k in range(self.steps + 1)]
+
+
+class ResidualEntry(_Strict):
+    """[residuals.<name>]: a weight, or weights by term; each a number or one number a coordinate."""
+
+    weight: Weight | dict[str, Weight | list[Weight]]
+
+
+class SolverEntry(_Strict):
+    """[solver]: back end and settings."""
+
+    backend: str = "aerotact"
+    levenberg_marquardt: float = Field(default=1e-6, ge=0)
+    iterations: int = Field(default=1, ge=1)
+    startup_iterations: int = Field(default=5, ge=1)
+
+
+class ProblemFile(_Strict):
+    """The schema of an ocp file."""
+
+    problem: Horizon
+    residuals: dict[str, ResidualEntry] = Field(min_length=1)
+    constraints: dict[str, Literal["hard"]] = Field(default_factory=dict)
+    parameters: dict[str, float | list[float]] = Field(default_factory=dict)
+    solver: SolverEntry = Field(default_factory=SolverEntry)
+
+
+def load_problem(name_or_path: str | Path) -> tuple[Path, ProblemFile]:
+    """Read and validate an ocp file.
+
+    Raises:
+        UnknownName: no such file or problem.
+        ProblemError: names the file, the key, the fault and what would be valid.
+    """
+    path = find_problem(name_or_path)
+    try:
+        data = tomllib.loads(path.read_text())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ProblemError(path, "file", f"is not TOML: {error}", "mend the named line") from error
+    try:
+        return path, ProblemFile.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(p) for p in first["loc"])
+        given = "" if isinstance(first["input"], dict) else f" (got {first['input']!r})"
+        raise ProblemError(path, key, f"{first['msg']}{given}", "see docs/ocp.md for the keys and their ranges") from error

@@ -1,0 +1,170 @@
+"""Targets: from measurement, reference and parameters to the stage parameters of an OCP, once a period.
+
+This is the OCP's only memory: the state of the virtual mass-spring-damper, advanced one period a step and predicted over
+the horizon with the estimated wrench held, so that the tool is told where it will have to yield.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from aerotact.dynamics import admittance as adm
+from aerotact.dynamics import so3
+from aerotact.dynamics.model import Model
+from aerotact.dynamics.rotors import least_thrust_inverse
+from aerotact.ports import Block, BlockBuilder, Layout, Port
+
+@dataclass(frozen=True)
+class Targets:
+    """The block that prepares a solve.
+
+    Attributes:
+        block: outputs `x0`, then `stage` (nodes, stage.size), then telemetry; its last measurement port is the
+            modelled thrust, which the limiter of the controller keeps.
+        stage: layout of one stage's parameters.
+        telemetry: layout of what is passed on for the log.
+    """
+
+    block: Block
+    stage: Layout
+    telemetry: Layout
+
+
+def _motions(b: BlockBuilder, model: Model, nodes: int) -> list[adm.ToolMotion]:
+    """The desired motion at every node, from the preview ports."""
+    p_WE, q_WE = (v.full().ravel() for v in _hover_tool(model))
+    preview: dict[str, Any] = {"nodes": nodes}
+    p = b.reference("p_WE_d", 3, "m", frame="W", doc="desired tool position", default=tuple(p_WE), **preview)
+    q = b.reference(
+        "q_WE_d", 4, "1", frame="W", doc="desired tool attitude", kind="quaternion", default=tuple(q_WE), **preview
+    )
+    v = b.reference("v_WE_d", 3, "m/s", frame="W", doc="desired tool velocity", **preview)
+    w = b.reference("w_E_d", 3, "rad/s", frame="E", doc="desired tool angular velocity", **preview)
+    a = b.reference("a_WE_d", 3, "m/s^2", frame="W", doc="desired tool acceleration", **preview)
+    dw = b.reference("dw_E_d", 3, "rad/s^2", frame="E", doc="desired tool angular acceleration", **preview)
+    motions = []
+    for k in range(nodes):
+        R = so3.rotation(q[:, k])
+        motions.append(
+            adm.ToolMotion(p[:, k], q[:, k], v[:, k], ca.mtimes(R, w[:, k]), a[:, k], ca.mtimes(R, dw[:, k]))
+        )
+    return motions
+
+
+def _hover_tool(model: Model) -> tuple[Any, Any]:
+    x = ca.SX.sym("x", model.state.size)
+    return tuple(ca.Function("tool", [x], list(model.tool_pose(x)))(model.hover_state))
+
+
+def _admittance(b: BlockBuilder, desired: list[adm.ToolMotion], times: list[float]) -> list[adm.ToolMotion]:
+    """The reference motion at every node; declares the parameters and the state of the virtual mass-spring-damper."""
+    f = b.measurement("f_tool_W", 3, "N", frame="W", doc="force of the environment on the tool")
+    tau = b.measurement("tau_tool_W", 3, "N m", frame="W", doc="torque of the environment on the tool")
+    law = adm.Admittance(
+        M_p=b.parameter("M_EP", 3, "kg", 1.0, frame="W", doc="virtual mass"),
+        D_p=b.parameter("D_EP", 3, "N s/m", 1.0, frame="W", doc="virtual damping"),
+        K_p=b.parameter("K_EP", 3, "N/m", 1.0, frame="W", doc="virtual stiffness"),
+        M_r=b.parameter("M_ER", 3, "kg m^2", 1.0, frame="W", doc="virtual inertia"),
+        D_r=b.parameter("D_ER", 3, "N m s/rad", 1.0, frame="W", doc="virtual rotational damping"),
+        K_r=b.parameter("K_ER", 3, "N m/rad", 1.0, frame="W", doc="virtual rotational stiffness"),
+    )
+    wrench = ca.vertcat(
+        adm.dead_zone(f, b.parameter("dead_zone_force", 1, "N", 0.0, doc="forces below it are neglected")),
+        adm.dead_zone(tau, b.parameter("dead_zone_torque", 1, "N m", 0.0, doc="torques below it are neglected")),
+    )
+    started = b.state("started", 1, "1", doc="the reference motion is set")
+    kept = adm.ToolMotion(
+        b.state("p_WE_r", 3, "m"),
+        b.state("q_WE_r", 4, "1", kind="quaternion"),
+        b.state("v_WE_r", 3, "m/s"),
+        b.state("w_WE_r", 3, "rad/s"),
+        None,
+        None,
+    )
+    first = adm.ToolMotion(
+        *(ca.if_else(started, getattr(kept, n), getattr(desired[0], n)) for n in ("p_WE", "q_WE", "v_WE", "w_WE")),
+        None,
+        None,
+    )
+    a, dw = adm.acceleration(law, desired[0], first, wrench)
+    motions = [adm.ToolMotion(first.p_WE, first.q_WE, first.v_WE, first.w_WE, a, dw)]
+    for k in range(len(times) - 1):
+        h = times[k + 1] - times[k]
+        motions.append(adm.advance(law, desired[k], desired[k + 1], motions[-1], wrench, h))
+    b.update("started", ca.SX(1))
+    for name in ("p_WE", "q_WE", "v_WE", "w_WE"):
+        b.update(f"{name}_r", getattr(motions[1], name))
+    return motions
+
+
+def _trim(model: Model, target: adm.ToolMotion, f_ext_W: Any, tau_ext_B: Any) -> Any:
+    """Least thrust that gives the target motion its acceleration against the estimated wrench, clipped to the limits."""
+    robot = model.robot
+    R_WB = ca.mtimes(so3.rotation(target.q_WE), ca.DM(robot.R_BE.T))
+    w_B, dw_B = ca.mtimes(R_WB.T, target.w_WE), ca.mtimes(R_WB.T, target.dw_WE)
+    lever = ca.DM(robot.p_BC - robot.p_BE)
+    a_WC = target.a_WE + ca.mtimes(R_WB, ca.cross(dw_B, lever) + ca.cross(w_B, ca.cross(w_B, lever)))
+    f_B = ca.mtimes(R_WB.T, robot.mass * (a_WC + ca.DM([0, 0, robot.gravity])) - f_ext_W)
+    J = ca.DM(robot.J_C)
+    tau_B = ca.mtimes(J, dw_B) + ca.cross(w_B, ca.mtimes(J, w_B)) - tau_ext_B
+    lower, upper = (ca.DM(v) for v in model.thrust_limits)
+    thrust = ca.mtimes(ca.DM(least_thrust_inverse(robot)), ca.vertcat(f_B, tau_B))
+    return ca.fmin(ca.fmax(thrust, lower), upper)
+
+
+def make_targets(
+    name: str, doc: str, model: Model, times: list[float], rate: float, uses: set[str], weights: list[Port]
+) -> Targets:
+    """Build the block.
+
+    Args:
+        name, doc: of the problem.
+        model: of the robot.
+        times: nodes, s.
+        rate: Hz.
+        uses: which targets the residuals need: "desired", "admittance", "thrust".
+        weights: parameter ports of the residuals' weights.
+    """
+    b = BlockBuilder(name, "aerotact", rate, doc)
+    x = ca.vertcat(
+        b.measurement("p_WB", 3, "m", frame="W", doc="position of the base"),
+        b.measurement("q_WB", 4, "1", frame="W", doc="attitude of the base", kind="quaternion"),
+        b.measurement("v_WB", 3, "m/s", frame="W", doc="velocity of the base"),
+        b.measurement("w_B", 3, "rad/s", frame="B", doc="angular velocity of the base"),
+    )
+    f_ext = b.measurement("f_ext_W", 3, "N", frame="W", doc="force of the environment on the robot")
+    tau_ext = b.measurement("tau_ext_B", 3, "N m", frame="B", doc="its torque about the centre of mass")
+    for port in weights:
+        b.parameter(port.name, port.size, port.unit, port.default, doc=port.doc)
+    desired = _motions(b, model, len(times))
+    reference = _admittance(b, desired, times) if "admittance" in uses else None
+    target = reference or desired
+    thrust = b.measurement("thrust", model.rotors, "N", doc="modelled thrust")
+
+    ports = [Port("f_ext_W", 3, "N", "W"), Port("tau_ext_B", 3, "N m", "B")]
+    columns: list[list[Any]] = [[f_ext, tau_ext] for _ in times]
+    for suffix, motions in (("d", desired if "desired" in uses else None), ("r", reference)):
+        if motions is None:
+            continue
+        ports += [Port(f"p_WE_{suffix}", 3, "m", "W"), Port(f"q_WE_{suffix}", 4, "1", "W", kind="quaternion")]
+        ports += [Port(f"v_WE_{suffix}", 3, "m/s", "W"), Port(f"w_E_{suffix}", 3, "rad/s", "E")]
+        for column, motion in zip(columns, motions, strict=True):
+            w_E = ca.mtimes(so3.rotation(motion.q_WE).T, motion.w_WE)
+            column += [motion.p_WE, motion.q_WE, motion.v_WE, w_E]
+    if "thrust" in uses:
+        ports.append(Port("thrust_trim", model.rotors, "N"))
+        for column, motion in zip(columns, target, strict=True):
+            column.append(_trim(model, motion, f_ext, tau_ext))
+    b.output("x0", ca.vertcat(x, thrust), "1")
+    b.output("stage", ca.horzcat(*[ca.vertcat(*c) for c in columns]), "1")
+    telemetry = Layout(
+        [
+            Port("p_WE_r", 3, "m", "W", "tool position aimed at"),
+            Port("q_WE_r", 4, "1", "W", "tool attitude aimed at", kind="quaternion"),
+            Port("v_WE_r", 3, "m/s", "W", "tool velocity aimed at"),
+        ]
+    )
+    for port, value in zip(telemetry, (target[0].p_WE, target[0].q_WE, target[0].v_WE), strict=True):
+        b.output(port.name, value, port.unit, frame=port.frame, doc=port.doc, kind=port.kind)
+    return Targets(b.build(), Layout(ports), telemetry)

@@ -1,0 +1,1 @@
+"""The plant: a robot in MuJoCo with surfaces, tip friction, disturbances and simulated sensors."""

@@ -1,0 +1,127 @@
+"""Sensors: what the robot measures of a plant, with noise and bias from robot.toml."""
+
+import mujoco
+import numpy as np
+
+from aerotact.exceptions import RobotError
+from aerotact.plant.plant import Plant
+from aerotact.ports import Array
+from aerotact.robot import Quantity, Robot
+
+
+class Sensors:
+    """Simulated sensors; each call is one sample, so call them at their rates.
+
+    Attributes:
+        imu_rate: Hz.
+        mocap_rate: Hz.
+        biases: constant errors drawn once from the seed: accelerometer_B (m/s2) and gyro_B (rad/s), shape (3,) each.
+    """
+
+    def __init__(self, plant: Plant, robot: Robot, seed: int) -> None:
+        """Draw the biases.
+
+        Args:
+            plant: what is measured.
+            robot: whose robot.toml gives rates, noises and biases.
+            seed: of all noise; equal seeds and equal calls give equal samples.
+
+        Raises:
+            RobotError: plant.xml has no accelerometer or gyro at the IMU's site, or a noise is negative, of the wrong
+                unit, or not one or three numbers.
+        """
+        self._plant = plant
+        self._file = robot.folder / "robot.toml"
+        self._rng = np.random.default_rng(seed)
+        entries = robot.file.sensors
+        self.imu_rate = entries.imu.rate
+        self.mocap_rate = entries.motion_capture.rate
+        imu, mocap, rotor = entries.imu, entries.motion_capture, entries.rotor_speed
+        self._accelerometer_noise = self._level("imu.accelerometer_noise", imu.accelerometer_noise, "m/s^2")
+        self._gyro_noise = self._level("imu.gyro_noise", imu.gyro_noise, "rad/s")
+        self._position_noise = self._level("motion_capture.position_noise", mocap.position_noise, "m")
+        self._attitude_noise = self._level("motion_capture.attitude_noise", mocap.attitude_noise, "rad")
+        self._thrust_noise = self._level("rotor_speed.thrust_noise", rotor.thrust_noise, "N")
+        self.biases: dict[str, Array] = {
+            "accelerometer_B": self._level("imu.accelerometer_bias", imu.accelerometer_bias, "m/s^2") * self._normal(),
+            "gyro_B": self._level("imu.gyro_bias", imu.gyro_bias, "rad/s") * self._normal(),
+        }
+        model = plant.model
+        R_BI = np.zeros(9)
+        mujoco.mju_quat2Mat(R_BI, model.site_quat[plant.imu_id])
+        if model.site_bodyid[plant.imu_id] != plant.base_id:
+            raise RobotError(
+                robot.folder / "plant.xml",
+                f"site '{robot.file.robot.imu}'",
+                "is not on the base body",
+                f"put it into body '{robot.file.robot.base}'",
+            )
+        self._R_BI = R_BI.reshape(3, 3)
+        self._accelerometer = self._address(robot, mujoco.mjtSensor.mjSENS_ACCELEROMETER, "accelerometer")
+        self._gyro = self._address(robot, mujoco.mjtSensor.mjSENS_GYRO, "gyro")
+
+    def _normal(self) -> Array:
+        return self._rng.normal(size=3)
+
+    def _level(self, part: str, quantity: Quantity, unit: str) -> Array:
+        level = quantity.array
+        if quantity.unit != unit or level.shape not in ((), (3,)) or not (np.isfinite(level) & (level >= 0.0)).all():
+            raise RobotError(
+                self._file,
+                f"sensors.{part}",
+                f"is {quantity.value} {quantity.unit}",
+                f"give a standard deviation >= 0 in {unit}, one number or one an axis",
+            )
+        return level
+
+    def _address(self, robot: Robot, kind: mujoco.mjtSensor, label: str) -> slice:
+        """Where the sensor of this kind at the IMU's site lies in sensordata."""
+        model, site = self._plant.model, self._plant.imu_id
+        found = np.flatnonzero((model.sensor_type == kind) & (model.sensor_objid == site))
+        if found.size == 0:
+            name = robot.file.robot.imu
+            raise RobotError(
+                robot.folder / "plant.xml", "sensor", f"no {label} at site '{name}'", f'add <{label} site="{name}"/>'
+            )
+        start = int(model.sensor_adr[found[0]])
+        return slice(start, start + 3)
+
+    def imu(self) -> dict[str, Array]:
+        """One sample of the inertial measurement unit, turned into B's axes.
+
+        Returns:
+            accelerometer_B: specific force at the IMU's site (not at the centre of mass), m/s2, as it was over the step
+                that led to the plant's time, since an acceleration belongs to a step and not to an instant;
+            gyro_B: angular velocity at the plant's time, rad/s.
+        """
+        data = self._plant.data.sensordata
+        accelerometer = self._R_BI @ data[self._accelerometer] + self.biases["accelerometer_B"]
+        gyro = self._R_BI @ data[self._gyro] + self.biases["gyro_B"]
+        return {
+            "accelerometer_B": accelerometer + self._accelerometer_noise * self._normal(),
+            "gyro_B": gyro + self._gyro_noise * self._normal(),
+        }
+
+    def motion_capture(self) -> dict[str, Array]:
+        """One sample of the motion capture.
+
+        Returns:
+            mocap_p_WB: position of the body's origin, m;
+            mocap_q_WB: attitude wxyz of unit length, turned by a small random rotation vector in B's axes.
+        """
+        truth = self._plant.base_pose()
+        turn, q_WB = np.zeros(4), np.zeros(4)
+        angle = self._attitude_noise * self._normal()
+        size = float(np.linalg.norm(angle))
+        mujoco.mju_axisAngle2Quat(turn, angle / size if size > 0.0 else np.array([1.0, 0.0, 0.0]), size)
+        mujoco.mju_mulQuat(q_WB, truth[3:], turn)
+        return {"mocap_p_WB": truth[:3] + self._position_noise * self._normal(), "mocap_q_WB": q_WB}
+
+    def rotor_speed(self) -> dict[str, Array]:
+        """One sample of the rotor speeds, given as thrusts.
+
+        Returns:
+            thrust_measured: actual thrust with noise, N, shape (n,), in the order of `robot.rotors`.
+        """
+        thrust = self._plant.thrust()
+        return {"thrust_measured": thrust + self._thrust_noise * self._rng.normal(size=thrust.size)}
