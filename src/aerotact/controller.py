@@ -89,7 +89,10 @@ class Controller:
         self._init, self._reset, self._step = (self._call(n) for n in ("init", "reset", "step"))
         self._pointers = [
             self._pointer(b)
-            for b in (self._workspace, *(self._buffers[g] for g in ("measurement", "reference", "parameters", "output")))
+            for b in (
+                self._workspace,
+                *(self._buffers[g] for g in ("measurement", "reference", "parameters", "output")),
+            )
         ]
         self._init(self._pointers[0])
         self._call("default_parameters")(self._pointers[3])
@@ -97,7 +100,10 @@ class Controller:
         self._statistics = self._call("statistics_of")
 
     def _call(self, function: str) -> Any:
-        return getattr(self._lib, f"{self.name}_{function}")
+        try:
+            return getattr(self._lib, f"{self.name}_{function}")
+        except AttributeError as error:
+            raise CodegenError(f"{self.library}: {error}; delete it and run again") from error
 
     def _pointer(self, buffer: Array) -> Any:
         return self._ffi.cast("void *", buffer.ctypes.data)

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerotact.exceptions import InputError, UnknownName
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
+"""Array of float64."""
 
 
 @dataclass(frozen=True)

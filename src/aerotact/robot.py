@@ -1,4 +1,4 @@
-"""Robot: one validated, frozen noun from a folder with plant.xml (all physics) and robot.toml (names, limits, sensors, gains)."""
+"""Robot: one frozen noun from a folder with plant.xml (all physics) and robot.toml (names, limits, sensors, gains)."""
 
 import tomllib
 from collections.abc import Iterator
@@ -61,7 +61,7 @@ class ImuEntry(_Strict):
 
 
 class MotionCaptureEntry(_Strict):
-    """Motion capture: rate in Hz, standard deviations a sample, delay in s."""
+    """Motion capture: rate in Hz, standard deviations a sample."""
 
     rate: float = Field(gt=0)
     position_noise: Quantity
@@ -254,6 +254,13 @@ def _rotor(entry: RotorEntry, number: int, model: Any, data: Any, base: int, fol
             "has no rotor lag",
             'use dyntype="filterexact" and dynprm="time constant in s"',
         )
+    if model.actuator_gainprm[index, 0] != 1.0 or model.actuator_biastype[index] != mujoco.mjtBias.mjBIAS_NONE:
+        raise RobotError(
+            plant,
+            f"actuator '{entry.actuator}'",
+            "its force is not its activation",
+            "use <general> with gain 1, no bias",
+        )
     lower, upper = (float(v) for v in model.actuator_ctrlrange[index])
     rate = entry.thrust_rate
     if rate.unit != "N/s" or rate.array.shape != (2,) or not rate.array[0] < 0 < rate.array[1]:
@@ -303,6 +310,15 @@ def load_robot(name_or_path: str | Path) -> Robot:
     imu = _id(model, mujoco.mjtObj.mjOBJ_SITE, file.robot.imu, "robot.imu", folder)
     key = _id(model, mujoco.mjtObj.mjOBJ_KEY, HOVER_KEYFRAME, "hover keyframe", folder)
     rotors = tuple(_rotor(entry, i, model, data, base, folder) for i, entry in enumerate(file.rotors))
+    indices = [rotor.index for rotor in rotors]
+    for number, rotor in enumerate(rotors):
+        if rotor.index in indices[:number]:
+            part = f"rotors[{number}].actuator"
+            raise RobotError(folder / "robot.toml", part, f"'{rotor.actuator}' is listed twice", "list each rotor once")
+    if not np.array_equal(model.key_act[key][model.actuator_actadr[indices]], model.key_ctrl[key][indices]):
+        raise RobotError(
+            folder / "plant.xml", "hover keyframe", "act and ctrl of the rotors differ", "give both the hover thrusts"
+        )
     return Robot(
         folder=folder,
         file=file,
@@ -317,5 +333,5 @@ def load_robot(name_or_path: str | Path) -> Robot:
         R_BE=R_BE,
         p_BI=R_WB.T @ (data.site_xpos[imu] - p_WB),
         gravity=float(-model.opt.gravity[2]),
-        hover_thrust=model.key_ctrl[key][[r.index for r in rotors]].copy(),
+        hover_thrust=model.key_ctrl[key][indices].copy(),
     )

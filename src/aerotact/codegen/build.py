@@ -25,7 +25,10 @@ def find_compiler() -> list[str]:
     chosen = os.environ.get("CC")
     tried = (chosen,) if chosen else _CANDIDATES
     for candidate in tried:
-        words = shlex.split(candidate)
+        try:
+            words = shlex.split(candidate)
+        except ValueError:  # a quotation mark too few
+            continue
         if words and shutil.which(words[0]):
             return words
     raise CompilerNotFound(tried)
@@ -44,19 +47,30 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS) -> Path:
 
     Raises:
         CompilerNotFound: no C compiler.
-        CodegenError: the compiler failed; the message has its first lines.
+        CodegenError: the compiler failed (the message has its first lines), or the cache cannot be written.
     """
     compiler = find_compiler()
     key = hashlib.sha256("\0".join([project.digest, *compiler, *flags, _processor()]).encode()).hexdigest()[:24]
     library = cache_folder() / f"{project.name}-{key}.so"
     if library.is_file():
         return library
-    library.parent.mkdir(parents=True, exist_ok=True)
+    _make_folder(library.parent)
     with tempfile.TemporaryDirectory(prefix="aerotact-") as scratch:
         root = Path(scratch)
         project.write(root / "project")
         built = root / library.name
-        command = [*compiler, *flags, "-fPIC", "-shared", "-Iinclude", "-Isrc", *project.sources, "-lm", "-o", str(built)]
+        command = [
+            *compiler,
+            *flags,
+            "-fPIC",
+            "-shared",
+            "-Iinclude",
+            "-Isrc",
+            *project.sources,
+            "-lm",
+            "-o",
+            str(built),
+        ]
         done = subprocess.run(command, cwd=root / "project", capture_output=True, text=True, check=False)
         if done.returncode:
             first = "\n".join(done.stderr.splitlines()[:12])
@@ -68,10 +82,23 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS) -> Path:
     return library
 
 
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CodegenError(
+            f"cache {folder}: cannot be made: {error}; set AEROTACT_CACHE to a folder that you can write"
+        ) from error
+    if not os.access(folder, os.W_OK):
+        raise CodegenError(f"cache {folder}: is not writable; set AEROTACT_CACHE to a folder that you can write")
+
+
 def _processor() -> str:
     """What -march=native depends on."""
     try:
-        flags = next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Features")))
+        flags = next(
+            line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Features"))
+        )
     except (OSError, StopIteration):
         flags = platform.processor()
     return f"{platform.machine()} {flags}"

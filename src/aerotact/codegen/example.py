@@ -48,7 +48,7 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
         "mocap_p_WB": s["p_WB"],
         "mocap_q_WB": s["q_WB"],
         "mocap_fresh": ca.DM(1),
-        **{name: zero for name in ("f_ext_W", "tau_ext_B", "f_tool_W", "tau_tool_W")},
+        **dict.fromkeys(("f_ext_W", "tau_ext_B", "f_tool_W", "tau_tool_W"), zero),
         "p_WE": p_WE,
         "q_WE": q_WE,
         "v_WE": v_WE,
@@ -90,7 +90,7 @@ def make_example(
         [
             f"/* The model of {model.robot.name}, for the example. */",
             f"#ifndef {name.upper()}_PLANT_H\n#define {name.upper()}_PLANT_H",
-            "#ifdef __cplusplus\nextern \"C\" {\n#endif",
+            '#ifdef __cplusplus\nextern "C" {\n#endif',
             *[signature(n, a, r) + ";" for _, n, a, r in functions],
             *[
                 f"static const double {name}_example_{key}[{value.size}] = {{{', '.join(map(number, value.tolist()))}}};"

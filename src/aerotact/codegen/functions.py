@@ -28,6 +28,7 @@ _BINARY = {
     ca.OP_FMIN: "fmin({}, {})",
     ca.OP_FMAX: "fmax({}, {})",
     ca.OP_FMOD: "fmod({}, {})",
+    ca.OP_REMAINDER: "remainder({}, {})",
     ca.OP_ATAN2: "atan2({}, {})",
     ca.OP_COPYSIGN: "copysign({}, {})",
     ca.OP_HYPOT: "hypot({}, {})",
@@ -42,9 +43,29 @@ _UNARY = {
     ca.OP_SIGN: "({0} > 0.0) ? 1.0 : (({0} < 0.0) ? -1.0 : {0})",
     **{
         getattr(ca, f"OP_{name.upper()}"): name + "({})"
-        for name in (
-            "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil fabs log1p expm1 erf"
-        ).split()
+        for name in [
+            "exp",
+            "log",
+            "sqrt",
+            "sin",
+            "cos",
+            "tan",
+            "asin",
+            "acos",
+            "atan",
+            "sinh",
+            "cosh",
+            "tanh",
+            "asinh",
+            "acosh",
+            "atanh",
+            "floor",
+            "ceil",
+            "fabs",
+            "log1p",
+            "expm1",
+            "erf",
+        ]
     },
 }
 
@@ -54,6 +75,8 @@ def number(value: float) -> str:
     text = f"{value:.17g}"
     if text in ("inf", "-inf"):
         return text.replace("inf", "HUGE_VAL")
+    if text == "nan":
+        return "NAN"
     return text if any(c in text for c in ".en") else text + ".0"
 
 

@@ -11,7 +11,7 @@ from aerotact.codegen.backends import QpDimensions, find_backend
 from aerotact.codegen.example import make_example
 from aerotact.codegen.functions import number
 from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest
-from aerotact.mpc.ocp import Ocp, limiter_of
+from aerotact.mpc.ocp import WEIGHT, Ocp, limiter_of
 from aerotact.ports import Array, Block, Layout, Port
 
 NO_DEADLINE = 1.0  # s; counts only once the caller sets a clock
@@ -43,6 +43,9 @@ def mpc_project(ocp: Ocp) -> CProject:
     block = mpc_block(ocp)
     context = block_context(block, model.robot)
     context["mpc"] = _context(ocp)
+    for port in next(g["ports"] for g in context["groups"] if g["title"] == "parameters"):
+        if port["name"].startswith(WEIGHT):
+            port["lower"] = number(0.0)
     functions = [
         (ocp.targets.block.step, f"{name}_prepare", ["z", "y", "r", "p"], ["z_next", "out"]),
         (
@@ -63,7 +66,10 @@ def mpc_project(ocp: Ocp) -> CProject:
     )
     example = make_example(name, model, ocp.rate, block.measurement, block.reference, block.output, limited=True)
     inputs = hashlib.sha256(ocp.path.read_bytes()).hexdigest()
-    extra = {"ocp": {"file": ocp.path.name, "sha256": inputs, "backend": ocp.file.solver.backend, "steps": ocp.steps}}
+    extra = {
+        "times_s": [float(t) for t in ocp.times],
+        "ocp": {"file": ocp.path.name, "sha256": inputs, "backend": ocp.file.solver.backend, "steps": ocp.steps},
+    }
     return assemble(
         context, functions, example, "mpc.c.jinja", manifest(block, model.robot, extra), backend(name, dimensions)
     )

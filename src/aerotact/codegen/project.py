@@ -66,9 +66,10 @@ class CProject:
         """
         try:
             if folder.exists() and any(folder.iterdir()):
-                if not (folder / MANIFEST).is_file():
+                if not _is_generated(folder):
                     raise CodegenError(
-                        f"{folder}: is not empty and holds no {MANIFEST}; valid: a new folder, or a generated project"
+                        f"{folder}: is not empty and holds no {MANIFEST} of aerotact; "
+                        "valid: a new folder, or a generated project"
                     )
                 for part in ("include", "src", "example", "build"):
                     shutil.rmtree(folder / part, ignore_errors=True)
@@ -78,6 +79,21 @@ class CProject:
                 target.write_text(text)
         except OSError as error:
             raise CodegenError(f"{folder}: cannot be written: {error}; valid: a folder that you own") from error
+
+
+def _is_generated(folder: Path) -> bool:
+    """Whether the folder holds an older generated project, which may be replaced."""
+    try:
+        content = json.loads((folder / MANIFEST).read_text())
+    except (OSError, ValueError):
+        return False
+    versions = content.get("versions") if isinstance(content, dict) else None
+    return isinstance(versions, dict) and "aerotact" in versions
+
+
+def comment(text: str) -> str:
+    """Text that can stand inside a C comment: one line, without its end mark."""
+    return " ".join(text.replace("*/", "* /").split())
 
 
 def templates() -> jinja2.Environment:
@@ -93,14 +109,15 @@ def templates() -> jinja2.Environment:
 
 def _port_context(port: Port, start: int) -> dict[str, Any]:
     frame = f", {port.frame}" if port.frame else ""
-    doc = f": {port.doc}" if port.doc else ""
+    doc = f": {comment(port.doc)}" if port.doc else ""
     return {
         "name": port.name,
         "size": port.size,
         "nodes": port.nodes,
         "kind": port.kind,
         "start": start,
-        "limit": number(port.limit),
+        "lower": number(-port.limit),
+        "upper": number(port.limit),
         "comment": f"{port.unit}{frame}{doc}",
     }
 
@@ -121,9 +138,9 @@ def block_context(block: Block, robot: Robot) -> dict[str, Any]:
     return {
         "name": block.name,
         "NAME": block.name.upper(),
-        "doc": block.doc,
+        "doc": comment(block.doc),
         "source": block.source,
-        "robot": robot.name,
+        "robot": comment(robot.name),
         "rate": f"{block.rate:g}",
         "rate_literal": number(block.rate),
         "version": __version__,

@@ -88,11 +88,20 @@ class Model:
 
     @cached_property
     def hover_state(self) -> Array:
-        """State x of the hover keyframe, shape (nx,)."""
+        """State x of the hover keyframe, shape (nx,), read-only."""
         mj = self.robot.mjmodel
         start = mj.jnt_qposadr[mj.body_jntadr[self.robot.base_id]]
         pose = mj.key(HOVER_KEYFRAME).qpos[start : start + 7]
-        return self.state.pack({"p_WB": pose[:3], "q_WB": pose[3:]})
+        x = self.state.pack({"p_WB": pose[:3], "q_WB": pose[3:]})
+        x.setflags(write=False)
+        return x
+
+    @cached_property
+    def hover_tool(self) -> tuple[Array, Array]:
+        """Tool pose at the hover keyframe: p_WE (3,) in m and q_WE (4,)."""
+        x = ca.SX.sym("x", self.state.size)
+        p_WE, q_WE = ca.Function("tool", [x], list(self.tool_pose(x)))(self.hover_state)
+        return p_WE.full().ravel(), q_WE.full().ravel()
 
     # limits, all of shape (n,)
 

@@ -3,8 +3,8 @@
     min  sum_k h_k sum_i w_i r_i(x_k, u_k, p_k)^2 / 2  +  terminal
     s.t. x_0 measured,  x_(k+1) = Phi_k(x_k, u_k, p_k),  bounds on x_k and u_k
 
-by multiple shooting, one Runge-Kutta step of order four an interval, linearised on the manifold: the quadratic programme
-is in the changes dx_k (three coordinates for the attitude) and du_k. The Hessian is Gauss-Newton's.
+by multiple shooting, one Runge-Kutta step of order four an interval, linearised on the manifold: the quadratic
+programme is in the changes dx_k (three coordinates for the attitude) and du_k. The Hessian is Gauss-Newton's.
 """
 
 from dataclasses import dataclass
@@ -16,13 +16,15 @@ import numpy as np
 
 from aerotact.dynamics.actuators import held_command_gain, thrust_limiter
 from aerotact.dynamics.model import Model
-from aerotact.exceptions import InputError, ProblemError
+from aerotact.exceptions import InputError, ProblemError, UnknownName
 from aerotact.laws import laws
 from aerotact.mpc.constraints import CONSTRAINTS, Bounds, make_bounds
 from aerotact.mpc.problem import ProblemFile, ResidualEntry, load_problem
 from aerotact.mpc.residuals import RESIDUALS, Residual
 from aerotact.mpc.targets import Targets, make_targets
 from aerotact.ports import Array, Block, Layout, Port
+
+WEIGHT = "weight_"  # names of the parameters that weigh residuals begin so; none may be negative
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class Ocp:
         targets: what is computed before a solve.
         fallback: the law that takes over when solves keep failing.
         bounds: of states and controls.
-        gains: change of thrust per unit of the control in each interval, s, shape (N, nu): the first command is held, the
-            later controls are rates of the actual thrust.
+        gains: change of thrust per unit of the control in each interval, s, shape (N, nu): the first command is held,
+            the later controls are rates of the actual thrust.
         linearise: (x, u, x_next, stage, parameters, h, gain) -> (A, B, b, Q, S, R, q, r), row by row, in changes.
         linearise_terminal: (x, stage, parameters) -> (Q, q).
         step: (x, u, stage, h, gain) -> Phi.
@@ -89,9 +91,9 @@ def _weights(path: Path, name: str, entry: ResidualEntry, residual: Residual, mo
     key = f"residuals.{name}.weight"
     given = entry.weight if isinstance(entry.weight, dict) else {t.key: entry.weight for t in residual.terms}
     known = {t.key: t for t in residual.terms}
-    for term in given:
-        if term not in known:
-            raise ProblemError(path, f"{key}.{term}", "is no term of this residual", f"valid: {', '.join(known)}")
+    for name_given in given:
+        if name_given not in known:
+            raise ProblemError(path, f"{key}.{name_given}", "is no term of this residual", f"valid: {', '.join(known)}")
     ports = []
     for term in residual.terms:
         size = term.size or model.rotors
@@ -100,7 +102,7 @@ def _weights(path: Path, name: str, entry: ResidualEntry, residual: Residual, mo
             raise ProblemError(path, f"{key}.{term.key}", f"has {value.size} numbers", f"give one, or {size}")
         default = tuple(float(v) for v in np.broadcast_to(value, (size,)))
         label = name if name == term.key else f"{name}_{term.key}"
-        ports.append(Port(f"weight_{label}", size, term.unit, doc=f"weight of {residual.doc}", default=default))
+        ports.append(Port(f"{WEIGHT}{label}", size, term.unit, doc=f"weight of {residual.doc}", default=default))
     return ports
 
 
@@ -113,6 +115,8 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
         MissingCapability: the robot lacks what the problem, a residual or the fallback law needs.
     """
     path, file = load_problem(name_or_path)
+    if not (path.stem.isascii() and path.stem.isidentifier()):
+        raise ProblemError(path, "file", f"'{path.stem}' is no C identifier", "name it with letters, digits and _")
     for title, given, valid in (
         ("residuals", file.residuals, list(RESIDUALS)),
         ("constraints", file.constraints, list(CONSTRAINTS)),
@@ -132,9 +136,12 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
     uses = {r.target for r in residuals if r.target} | ({"thrust"} if "thrust" in file.residuals else set())
     times = file.problem.nodes
     targets = make_targets(path.stem, file.problem.doc, model, times, file.problem.rate, uses, weights)
+    for parameter in file.parameters:
+        if parameter.startswith(WEIGHT):
+            raise ProblemError(path, f"parameters.{parameter}", "is a weight", "give it as the weight of its residual")
     try:
         block = targets.block.with_parameters(file.parameters)
-    except InputError as error:
+    except (InputError, UnknownName) as error:
         raise ProblemError(path, "parameters", str(error), "one number, or one a coordinate") from error
     targets = Targets(block, targets.stage, targets.telemetry)
     fallback = laws()[file.problem.fallback](model, file.problem.rate)
@@ -189,7 +196,7 @@ def _transcribe(
             for term, value in zip(residual.terms, built, strict=True):
                 label = residual.name if residual.name == term.key else f"{residual.name}_{term.key}"
                 values.append(value)
-                scales.append(weights[f"weight_{label}"])
+                scales.append(weights[f"{WEIGHT}{label}"])
         return ca.vertcat(*values), ca.vertcat(*scales)
 
     def at_zero(expression: Any) -> Any:

@@ -1,6 +1,7 @@
 """The ocp file: one optimal control problem, validated."""
 
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,7 +14,7 @@ Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Horizon(_Strict):
@@ -46,7 +47,7 @@ class Horizon(_Strict):
         if self.steps is not None and self.duration is None:
             raise ValueError("steps needs a duration")
         nodes = self.nodes
-        if len(nodes) < 2 or nodes[0] != 0 or any(b <= a for a, b in zip(nodes, nodes[1:], strict=False)):
+        if len(nodes) < 2 or nodes[0] != 0 or any(b <= a for a, b in pairwise(nodes)):
             raise ValueError("times must start at 0 and increase, with at least two nodes")
         if abs(nodes[1] * self.rate - 1) > 1e-9:
             raise ValueError(f"the first interval is {nodes[1]:g} s; it must be one period, {1 / self.rate:g} s")
@@ -105,4 +106,14 @@ def load_problem(name_or_path: str | Path) -> tuple[Path, ProblemFile]:
         first = error.errors()[0]
         key = ".".join(str(p) for p in first["loc"])
         given = "" if isinstance(first["input"], dict) else f" (got {first['input']!r})"
-        raise ProblemError(path, key, f"{first['msg']}{given}", "see docs/ocp.md for the keys and their ranges") from error
+        remedy = "see docs/ocp.md for the keys and their ranges"
+        if first["type"] == "extra_forbidden":
+            remedy = f"valid: {', '.join(_keys_beside(first['loc']))}"
+        raise ProblemError(path, key, f"{first['msg']}{given}", remedy) from error
+
+
+def _keys_beside(place: tuple[int | str, ...]) -> list[str]:
+    """Keys that the table of an unknown key may hold."""
+    tables: dict[str, type[BaseModel]] = {"problem": Horizon, "residuals": ResidualEntry, "solver": SolverEntry}
+    table = tables[str(place[0])] if len(place) > 1 else ProblemFile
+    return sorted(table.model_fields)

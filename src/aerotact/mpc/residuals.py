@@ -1,7 +1,7 @@
 """Residual blocks: what an optimal control problem may ask for, by name.
 
-A residual block turns state, controls and stage parameters into terms; each term has a weight of its own, a parameter of
-the generated controller. The cost is the sum over stages of (stage length) * weight * term^2 / 2.
+A residual block turns state, controls and stage parameters into terms; each term has a weight of its own, a parameter
+of the generated controller. The cost is the sum over stages of (stage length) * weight * term^2 / 2.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """Targets: from measurement, reference and parameters to the stage parameters of an OCP, once a period.
 
-This is the OCP's only memory: the state of the virtual mass-spring-damper, advanced one period a step and predicted over
-the horizon with the estimated wrench held, so that the tool is told where it will have to yield.
+This is the OCP's only memory: the state of the virtual mass-spring-damper, advanced one period a step and predicted
+over the horizon with the estimated wrench held, so that the tool is told where it will have to yield.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.rotors import least_thrust_inverse
 from aerotact.ports import Block, BlockBuilder, Layout, Port
+
 
 @dataclass(frozen=True)
 class Targets:
@@ -33,7 +34,7 @@ class Targets:
 
 def _motions(b: BlockBuilder, model: Model, nodes: int) -> list[adm.ToolMotion]:
     """The desired motion at every node, from the preview ports."""
-    p_WE, q_WE = (v.full().ravel() for v in _hover_tool(model))
+    p_WE, q_WE = model.hover_tool
     preview: dict[str, Any] = {"nodes": nodes}
     p = b.reference("p_WE_d", 3, "m", frame="W", doc="desired tool position", default=tuple(p_WE), **preview)
     q = b.reference(
@@ -50,11 +51,6 @@ def _motions(b: BlockBuilder, model: Model, nodes: int) -> list[adm.ToolMotion]:
             adm.ToolMotion(p[:, k], q[:, k], v[:, k], ca.mtimes(R, w[:, k]), a[:, k], ca.mtimes(R, dw[:, k]))
         )
     return motions
-
-
-def _hover_tool(model: Model) -> tuple[Any, Any]:
-    x = ca.SX.sym("x", model.state.size)
-    return tuple(ca.Function("tool", [x], list(model.tool_pose(x)))(model.hover_state))
 
 
 def _admittance(b: BlockBuilder, desired: list[adm.ToolMotion], times: list[float]) -> list[adm.ToolMotion]:
@@ -83,9 +79,12 @@ def _admittance(b: BlockBuilder, desired: list[adm.ToolMotion], times: list[floa
         None,
     )
     first = adm.ToolMotion(
-        *(ca.if_else(started, getattr(kept, n), getattr(desired[0], n)) for n in ("p_WE", "q_WE", "v_WE", "w_WE")),
-        None,
-        None,
+        p_WE=ca.if_else(started, kept.p_WE, desired[0].p_WE),
+        q_WE=ca.if_else(started, kept.q_WE, desired[0].q_WE),
+        v_WE=ca.if_else(started, kept.v_WE, desired[0].v_WE),
+        w_WE=ca.if_else(started, kept.w_WE, desired[0].w_WE),
+        a_WE=None,
+        dw_WE=None,
     )
     a, dw = adm.acceleration(law, desired[0], first, wrench)
     motions = [adm.ToolMotion(first.p_WE, first.q_WE, first.v_WE, first.w_WE, a, dw)]
@@ -99,7 +98,7 @@ def _admittance(b: BlockBuilder, desired: list[adm.ToolMotion], times: list[floa
 
 
 def _trim(model: Model, target: adm.ToolMotion, f_ext_W: Any, tau_ext_B: Any) -> Any:
-    """Least thrust that gives the target motion its acceleration against the estimated wrench, clipped to the limits."""
+    """Least thrust that gives the target its acceleration against the estimated wrench, clipped to the limits."""
     robot = model.robot
     R_WB = ca.mtimes(so3.rotation(target.q_WE), ca.DM(robot.R_BE.T))
     w_B, dw_B = ca.mtimes(R_WB.T, target.w_WE), ca.mtimes(R_WB.T, target.dw_WE)

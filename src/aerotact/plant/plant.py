@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from aerotact.exceptions import InputError, LoopError, RobotError
 from aerotact.plant.disturbance import Disturbance
-from aerotact.plant.tip_friction import TipContact, TipFriction
+from aerotact.plant.tip import Tip
 from aerotact.plant.world import attach_world
 from aerotact.ports import Array
 from aerotact.robot import HOVER_KEYFRAME, Robot, mujoco_warnings
@@ -32,6 +32,13 @@ def _vector(name: str, value: ArrayLike, size: int) -> Array:
     return array
 
 
+def _spans(model: Any, body: int) -> tuple[slice, slice]:
+    """Where the coordinates and the velocities of a body's joints lie in qpos and qvel."""
+    last = model.body_jntadr[body] + model.body_jntnum[body]
+    qpos = slice(model.jnt_qposadr[model.body_jntadr[body]], model.jnt_qposadr[last] if last < model.njnt else model.nq)
+    return qpos, slice(model.body_dofadr[body], model.body_dofadr[body] + model.body_dofnum[body])
+
+
 class Plant:
     """The simulated robot.
 
@@ -39,7 +46,7 @@ class Plant:
         robot: whose plant.xml it is.
         model: compiled `mujoco.MjModel` of robot and world.
         data: its `mujoco.MjData`; call `mujoco.mj_forward(model, data)` after writing into it.
-        friction: friction state of the tip.
+        tip: the end of the tool, its contacts and their friction.
         disturbances: those that act, in order; add by `disturb`.
         timestep: of the physics, s.
     """
@@ -71,17 +78,14 @@ class Plant:
         self.timestep = timestep
         self.model = self._compile(world)
         self.data = mujoco.MjData(self.model)
-        self.friction = TipFriction()
         self.disturbances: list[Disturbance] = []
         self._find_parts()
-        self._find_tip()
+        self.tip = Tip(robot, self.model, self.data)
         self._warnings = self.data.warning.number
         self._xfrc = self.data.xfrc_applied
         self._pushed = False
         self._push_W = np.zeros(3)
         self._contact_W = np.zeros(3)
-        self._normal_forces: dict[tuple[int, int, int], float] = {}
-        self._six = np.zeros(6)
         for disturbance in disturbances:
             self.disturb(disturbance)
         self.reset()
@@ -108,7 +112,6 @@ class Plant:
         alone, model, names = self.robot.mjmodel, self.model, self.robot.file.robot
         key = mujoco.mj_name2id(alone, _OBJ.mjOBJ_KEY, HOVER_KEYFRAME)
         self.base_id: int = model.body(names.base).id
-        self.tool_id: int = model.site(names.tool).id if names.tool else -1
         self.imu_id: int = model.site(names.imu).id
         self._qpos = int(model.jnt_qposadr[model.body_jntadr[self.base_id]])
         self._qvel = int(model.jnt_dofadr[model.body_jntadr[self.base_id]])
@@ -120,39 +123,14 @@ class Plant:
             name = alone.body(body).name
             if not name:
                 raise RobotError(self.robot.folder / "plant.xml", f"body {body}", "has a joint, no name", "name it")
-            here, there = alone.body_jntadr[body], model.body_jntadr[model.body(name).id]
-            for adr, nums, source, target in (
-                ("jnt_qposadr", alone.nq, alone.key_qpos[key], self._hover_qpos),
-                ("jnt_dofadr", alone.nv, alone.key_qvel[key], self._hover_qvel),
-            ):
-                start, last = getattr(alone, adr)[here], here + alone.body_jntnum[body]
-                stop = getattr(alone, adr)[last] if last < alone.njnt else nums
-                first = getattr(model, adr)[there]
-                target[first : first + stop - start] = source[start:stop]
+            (qpos, qvel), (new_qpos, new_qvel) = _spans(alone, int(body)), _spans(model, model.body(name).id)
+            self._hover_qpos[new_qpos] = alone.key_qpos[key, qpos]
+            self._hover_qvel[new_qvel] = alone.key_qvel[key, qvel]
         for index in range(alone.nu):
             new = model.actuator(alone.actuator(index).name).id
             self._hover_ctrl[new] = alone.key_ctrl[key, index]
             if alone.actuator_actnum[index]:
                 self._hover_act[model.actuator_actadr[new]] = alone.key_act[key, alone.actuator_actadr[index]]
-
-    def _find_tip(self) -> None:
-        """Geoms of the tool's body that collide; their contacts are the tip's."""
-        model = self.model
-        self._tip: frozenset[int] = frozenset()
-        self._tool_body = -1
-        if self.tool_id < 0:
-            return
-        self._tool_body = int(model.site_bodyid[self.tool_id])
-        collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-        self._tip = frozenset(int(g) for g in np.flatnonzero((model.geom_bodyid == self._tool_body) & collides))
-        for geom in self._tip:
-            if model.geom_condim[geom] != 1 or model.geom_priority[geom] < 1:
-                raise RobotError(
-                    self.robot.folder / "plant.xml",
-                    f"geom '{model.geom(geom).name}'",
-                    f"has condim {model.geom_condim[geom]} and priority {model.geom_priority[geom]}",
-                    'use condim="1" priority="1": the plant adds the friction of the tip',
-                )
 
     @property
     def time(self) -> float:
@@ -190,11 +168,12 @@ class Plant:
         mujoco.mj_resetData(self.model, data)
         data.qpos[:], data.qvel[:] = qpos, self._hover_qvel
         data.act[:], data.ctrl[:] = self._hover_act, self._hover_ctrl
-        self.friction.reset()
+        self.tip.reset()
         self._pushed = False
         self._push_W, self._contact_W = np.zeros(3), np.zeros(3)
         mujoco.mj_forward(self.model, data)
-        self._normal_forces = self._solved_normal_forces() if data.ncon else {}
+        if data.ncon:
+            self.tip.read_normal_forces()
 
     def command(self, thrust: ArrayLike) -> None:
         """Set the commanded thrusts; they hold until the next call. Beyond a rotor's range they are cut to it.
@@ -230,8 +209,8 @@ class Plant:
             force_W: N, shape (3,).
             offset_E: point of attack in E, m, shape (3,).
         """
-        R_WE = self.data.site_xmat[self.tool_id].reshape(3, 3)
-        self.push(self._tool_body, force_W, self.data.site_xpos[self.tool_id] + R_WE @ offset_E)
+        R_WE = self.data.site_xmat[self.tip.site].reshape(3, 3)
+        self.push(self.tip.body, force_W, self.data.site_xpos[self.tip.site] + R_WE @ offset_E)
         self._push_W = self._push_W + force_W
 
     def step(self) -> None:
@@ -248,11 +227,12 @@ class Plant:
         for disturbance in self.disturbances:
             disturbance.apply(self)
         try:
-            if data.ncon:
+            if data.ncon and self.tip.geoms:
                 self._step_in_contact()
             else:
-                if self._normal_forces:
-                    self._leave_contact()
+                if self.tip.normal_forces:
+                    self.tip.reset()
+                    self._contact_W = np.zeros(3)
                 mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
         except mujoco.FatalError as error:
@@ -266,52 +246,16 @@ class Plant:
 
     def _step_in_contact(self) -> None:
         """Friction from the normal forces of the step before, then the step, then its normal forces."""
-        contacts = self.contacts()
-        mujoco.mj_objectVelocity(self.model, self.data, _OBJ.mjOBJ_SITE, self.tool_id, self._six, 0)
-        p_WE = self.data.site_xpos[self.tool_id]
-        forces = self.friction.step(contacts, self._six[3:], self._six[:3], p_WE, self.timestep)
+        contacts = self.tip.contacts()
         total = np.zeros(3)
-        for contact, force in zip(contacts, forces, strict=True):
-            self.push(self._tool_body, force, contact.p_WC)
+        for contact, force in zip(contacts, self.tip.friction_forces(contacts), strict=True):
+            self.push(self.tip.body, force, contact.p_WC)
             total += force
         mujoco.mj_step2(self.model, self.data)
-        self._normal_forces = self._solved_normal_forces()
+        self.tip.read_normal_forces()
         for contact in contacts:
-            total += self._normal_forces[contact.key] * contact.n_W
+            total += self.tip.normal_forces[contact.key] * contact.n_W
         self._contact_W = total
-
-    def _leave_contact(self) -> None:
-        self._normal_forces = {}
-        self._contact_W = np.zeros(3)
-        self.friction.reset()
-
-    def contacts(self) -> list[TipContact]:
-        """Where the tip touches now, with the normal forces of the step before."""
-        data, friction = self.data, self.model.geom_friction
-        frames, points = data.contact.frame, data.contact.pos
-        found = []
-        for i, key, sign in self._touching():
-            normal, force = sign * frames[i, :3], self._normal_forces.get(key, 0.0)
-            found.append(TipContact(key, points[i].copy(), normal, force, float(friction[key[1], 0])))
-        return found
-
-    def _touching(self) -> list[tuple[int, tuple[int, int, int], float]]:
-        """Number, key and sign of each contact of the tip; sign times MuJoCo's normal points to the tip."""
-        found: list[tuple[int, tuple[int, int, int], float]] = []
-        counts: dict[tuple[int, int], int] = {}
-        for i, (first, second) in enumerate(self.data.contact.geom.tolist()):
-            if (first in self._tip) == (second in self._tip):
-                continue
-            pair, sign = ((second, first), 1.0) if second in self._tip else ((first, second), -1.0)
-            count = counts.get(pair, 0)
-            counts[pair] = count + 1
-            found.append((i, (*pair, count), sign))
-        return found
-
-    def _solved_normal_forces(self) -> dict[tuple[int, int, int], float]:
-        """Key of each contact -> normal force on the tip in the last solution, N."""
-        rows, solved = self.data.contact.efc_address, self.data.efc_force
-        return {key: float(solved[rows[i]]) if rows[i] >= 0 else 0.0 for i, key, _ in self._touching()}
 
     def base_pose(self) -> Array:
         """p_WB (m) and q_WB (wxyz) as one copy of shape (7,)."""
@@ -340,13 +284,12 @@ class Plant:
             "thrust": self.thrust(),
             "thrust_rate": data.act_dot[self._thrusts],
         }
-        if self.tool_id >= 0:
-            q_WE, velocity = np.zeros(4), np.zeros(6)
-            mujoco.mju_mat2Quat(q_WE, data.site_xmat[self.tool_id])
-            mujoco.mj_objectVelocity(self.model, data, _OBJ.mjOBJ_SITE, self.tool_id, velocity, 0)
-            values["p_WE"] = data.site_xpos[self.tool_id].copy()
+        if self.tip.site >= 0:
+            q_WE = np.zeros(4)
+            mujoco.mju_mat2Quat(q_WE, data.site_xmat[self.tip.site])
+            values["p_WE"] = data.site_xpos[self.tip.site].copy()
             values["q_WE"] = q_WE
-            values["v_WE"] = velocity[3:]
+            values["v_WE"] = self.tip.velocity()[3:].copy()
             values["f_tool_W"] = self._contact_W + self._push_W
             values["f_contact_W"] = self._contact_W.copy()
         return values

@@ -18,20 +18,23 @@ STIFFNESS = 5e3
 DAMPING = 2.0
 """sigma1: bristle damping per newton of normal force, s/m."""
 
+Key = tuple[int, int, int]
+"""Geom id of the tip, geom id of the touched surface, number of the contact between the two."""
+
 
 @dataclass(frozen=True, slots=True)
 class TipContact:
     """One point where the tip touches.
 
     Attributes:
-        key: geom id of the tip, geom id of the touched surface, number of this contact between the two.
+        key: which contact it is.
         p_WC: contact point in W, m, shape (3,).
         n_W: unit normal out of the surface in W, shape (3,).
         normal_force: pressing force as solved last, N, not negative.
         friction: Coulomb coefficient of the surface.
     """
 
-    key: tuple[int, int, int]
+    key: Key
     p_WC: Array
     n_W: Array
     normal_force: float
@@ -89,7 +92,7 @@ class TipFriction:
 
     stiffness: float = STIFFNESS
     damping: float = DAMPING
-    bristles: dict[tuple[int, int, int], Array] = field(default_factory=dict)
+    bristles: dict[Key, Array] = field(default_factory=dict)
 
     def reset(self) -> None:
         """Forget all deflections."""
@@ -109,7 +112,7 @@ class TipFriction:
             Friction force on the tip in W for each contact, N, each of shape (3,).
         """
         forces: list[Array] = []
-        bristles: dict[tuple[int, int, int], Array] = {}
+        bristles: dict[Key, Array] = {}
         for contact in contacts:
             n = contact.n_W
             r = contact.p_WC - p_WE

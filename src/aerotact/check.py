@@ -1,0 +1,240 @@
+"""Check: the contract that a robot folder keeps, item by item, each with its remedy."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from aerotact.dynamics.model import Model
+from aerotact.dynamics.rotors import allocation, allocation_rank
+from aerotact.estimation import estimators
+from aerotact.exceptions import AerotactError, MissingCapability
+from aerotact.laws import laws
+from aerotact.mpc.ocp import load_ocp
+from aerotact.plant.plant import Plant
+from aerotact.plant.sensors import Sensors
+from aerotact.ports import Array
+from aerotact.resources import problem_files
+from aerotact.robot import HOVER_KEYFRAME, Robot, load_robot
+
+AGREEMENT = 1e-9  # m/s2 and rad/s2, between CasADi and MuJoCo
+TRIM = 1e-9  # m/s2, rad/s2 and N/s at the hover keyframe
+STATES = 200  # random states and commands
+PHYSICS_RATE = 1000.0  # Hz
+
+
+@dataclass(frozen=True)
+class Item:
+    """One line of the contract.
+
+    Attributes:
+        name: what is checked.
+        passed: it holds.
+        detail: what was found, with its number; for a failure also file, part and remedy.
+    """
+
+    name: str
+    passed: bool
+    detail: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a check found; `fits` lists laws, estimators and problems, `misfits` says why others do not fit."""
+
+    robot: str
+    items: tuple[Item, ...]
+    fits: tuple[str, ...]
+    misfits: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Every item holds."""
+        return all(item.passed for item in self.items)
+
+
+def check_robot(name_or_path: str | Path, seed: int = 0) -> Report:
+    """Check a robot folder; a folder that cannot be loaded gives a report with that one failed item.
+
+    Raises:
+        UnknownName: no such folder or robot.
+    """
+    try:
+        robot = load_robot(name_or_path)
+    except AerotactError as error:
+        if type(error).__name__ == "UnknownName":
+            raise
+        return Report(str(name_or_path), (Item("loads without a MuJoCo warning", False, str(error)),), (), ())
+    items = [
+        Item("loads without a MuJoCo warning", True, f"{robot.mass:.4g} kg, {len(robot.rotors)} rotors"),
+        *_items(robot, seed),
+    ]
+    fits, misfits = _fits(robot)
+    return Report(robot.name, tuple(items), tuple(fits), tuple(misfits))
+
+
+def _items(robot: Robot, seed: int) -> Iterator[Item]:
+    plant_xml, robot_toml = robot.folder / "plant.xml", robot.folder / "robot.toml"
+    error = _trim_error(robot)
+    yield _item(
+        "hover keyframe is exact trim",
+        error <= TRIM,
+        f"largest acceleration {error:.1e}",
+        f"{plant_xml}: keyframe '{HOVER_KEYFRAME}': set ctrl and act to {_trim_thrust(robot)} N and the pose level",
+    )
+    rank = allocation_rank(robot)
+    yield _item(
+        "allocation has rank 6",
+        rank == 6,
+        f"rank {rank}, condition {np.linalg.cond(allocation(robot)):.1f}",
+        f"{plant_xml}: rotor sites: tilt them so that force and torque are independent",
+    )
+    missing = _unlisted(robot)
+    yield _item(
+        "every actuator is listed",
+        not missing,
+        f"{len(robot.rotors)} of {robot.mjmodel.nu}",
+        f"{robot_toml}: rotors: add {', '.join(missing)}",
+    )
+    error = _disagreement(robot, np.random.default_rng(seed))
+    yield _item(
+        "CasADi accelerations equal MuJoCo's",
+        error <= AGREEMENT,
+        f"largest difference {error:.1e} over {STATES} random states and commands",
+        f"{plant_xml}: leave out what the model has not: joints beside the free one, fluid, springs, damping",
+    )
+    yield from _limits(robot, robot_toml, plant_xml)
+    try:
+        Sensors(Plant(robot), robot, seed)
+        rates = (robot.file.sensors.imu.rate, robot.file.sensors.motion_capture.rate)
+        whole = all(abs(PHYSICS_RATE / r - round(PHYSICS_RATE / r)) < 1e-9 for r in rates)
+        slower = rates[1] <= rates[0]
+        yield _item(
+            "sensors are there and their rates fit",
+            whole and slower,
+            f"IMU {rates[0]:g} Hz, motion capture {rates[1]:g} Hz",
+            f"{robot_toml}: sensors: choose rates that divide {PHYSICS_RATE:g} Hz, the IMU's the higher",
+        )
+    except AerotactError as failure:
+        yield Item("sensors are there and their rates fit", False, str(failure))
+
+
+def _item(name: str, passed: bool, detail: str, remedy: str) -> Item:
+    return Item(name, passed, detail if passed else f"{detail}; {remedy}")
+
+
+def _limits(robot: Robot, robot_toml: Path, plant_xml: Path) -> Iterator[Item]:
+    for number, rotor in enumerate(robot.rotors):
+        hover = robot.hover_thrust[number]
+        if not rotor.thrust[0] < hover < rotor.thrust[1]:
+            yield Item(
+                "limits are consistent",
+                False,
+                f"{plant_xml}: actuator '{rotor.actuator}': hover needs {hover:.3g} N, ctrlrange is {rotor.thrust}; widen it",
+            )
+            return
+        if rotor.thrust[0] < 0:
+            yield Item(
+                "limits are consistent",
+                False,
+                f"{plant_xml}: actuator '{rotor.actuator}': ctrlrange starts at {rotor.thrust[0]} N; a rotor does not pull",
+            )
+            return
+        reach = (rotor.thrust[1] - rotor.thrust[0]) / rotor.time_constant
+        if rotor.thrust_rate[1] > 10 * reach:
+            yield Item(
+                "limits are consistent",
+                False,
+                f"{robot_toml}: rotors[{number}].thrust_rate: {rotor.thrust_rate[1]:g} N/s is beyond what a lag of "
+                f"{rotor.time_constant:g} s allows ({reach:g} N/s); check its unit",
+            )
+            return
+    margin = min(min(h - r.thrust[0], r.thrust[1] - h) for h, r in zip(robot.hover_thrust, robot.rotors, strict=True))
+    yield Item("limits are consistent", True, f"smallest margin of thrust at hover {margin:.3g} N")
+
+
+def _at(robot: Robot) -> mujoco.MjData:
+    data = mujoco.MjData(robot.mjmodel)
+    mujoco.mj_resetDataKeyframe(robot.mjmodel, data, robot.mjmodel.key(HOVER_KEYFRAME).id)
+    return data
+
+
+def _trim_error(robot: Robot) -> float:
+    data = _at(robot)
+    mujoco.mj_forward(robot.mjmodel, data)
+    return float(np.abs(np.concatenate([data.qacc, data.act_dot, data.qvel])).max())
+
+
+def _trim_thrust(robot: Robot) -> str:
+    wrench = np.array([0, 0, robot.mass * robot.gravity, 0, 0, 0])
+    thrust = np.linalg.lstsq(allocation(robot), wrench, rcond=None)[0]
+    return np.array2string(thrust, precision=12, floatmode="unique")
+
+
+def _unlisted(robot: Robot) -> list[str]:
+    listed = {r.index for r in robot.rotors}
+    return [robot.mjmodel.actuator(i).name or f"actuator {i}" for i in range(robot.mjmodel.nu) if i not in listed]
+
+
+def _disagreement(robot: Robot, rng: np.random.Generator) -> float:
+    """Largest difference of accelerations and of rates of thrust over random states and commands."""
+    model, mj = Model(robot), robot.mjmodel
+    data, f = _at(robot), Model(robot).function
+    base = mj.body_jntadr[robot.base_id]
+    q, v = mj.jnt_qposadr[base], mj.jnt_dofadr[base]
+    actuators = [r.index for r in robot.rotors]
+    activations = mj.actuator_actadr[actuators]
+    lower, upper = model.thrust_limits
+    worst = 0.0
+    for _ in range(STATES):
+        attitude = rng.normal(size=4)
+        x = model.state.pack(
+            {
+                "p_WB": rng.uniform(-2, 2, 3) + [0, 0, 10],
+                "q_WB": attitude / np.linalg.norm(attitude),
+                "v_WB": rng.normal(size=3),
+                "w_B": 2 * rng.normal(size=3),
+                "thrust": rng.uniform(lower, upper),
+            }
+        )
+        command = rng.uniform(lower, upper)
+        push, turn = rng.normal(size=3), rng.normal(size=3)
+        data.qpos[q : q + 7], data.qvel[v : v + 6] = x[:7], x[7:13]
+        data.act[activations], data.ctrl[actuators] = x[13:], command
+        data.xfrc_applied[robot.base_id] = _wrench_at_base(robot, x[3:7], push, turn)
+        mujoco.mj_forward(mj, data)
+        rate = (command - x[13:]) / model.time_constants
+        found: Array = f(x, rate, np.concatenate([push, turn])).full().ravel()
+        difference = [found[7:13] - data.qacc[v : v + 6], found[13:] - data.act_dot[activations]]
+        worst = max(worst, float(np.abs(np.concatenate(difference)).max()))
+    return worst
+
+
+def _wrench_at_base(robot: Robot, q_WB: Array, f_W: Array, tau_B: Array) -> Array:
+    """The wrench (f_W at the centre of mass, tau_B) as MuJoCo applies it: at the base body's own inertial frame."""
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, q_WB)
+    R_WB = R.reshape(3, 3)
+    lever_W = R_WB @ (robot.p_BC - robot.mjmodel.body_ipos[robot.base_id])
+    return np.concatenate([f_W, R_WB @ tau_B + np.cross(lever_W, f_W)])
+
+
+def _fits(robot: Robot) -> tuple[list[str], list[str]]:
+    """Names of laws, estimators and problems that can be built for the robot, and why the others cannot."""
+    model, fits, misfits = Model(robot), [], []
+    rate = robot.file.sensors.imu.rate
+    for name, build in {**laws(), **estimators()}.items():
+        try:
+            build(model, rate)
+            fits.append(name)
+        except MissingCapability as error:
+            misfits.append(str(error))
+    for name in problem_files():
+        try:
+            load_ocp(name, model)
+            fits.append(name)
+        except MissingCapability as error:
+            misfits.append(str(error))
+    return fits, misfits

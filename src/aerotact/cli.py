@@ -1,0 +1,311 @@
+"""Command line: list, check, generate, fly, compare.
+
+Exit codes: 0 done; 1 a check or a run failed; 2 a name or an argument is wrong; 3 the robot folder; 4 the ocp file;
+5 code generation or compiling; 6 the loop.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from aerotact import __version__
+from aerotact.exceptions import AerotactError, InputError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    help="From the MuJoCo model of an aerial robot to standalone C controllers for touching the world.",
+)
+_console = Console()
+_errors = Console(stderr=True)
+
+RobotOption = Annotated[str | None, typer.Option("--robot", "-r", help="Name or folder of the robot.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Also write the numbers to this file.")]
+TruthOption = Annotated[bool, typer.Option("--truth", help="Give the controller the true state of the base.")]
+DelayOption = Annotated[str, typer.Option("--delay", help="Seconds from measurement to command, or 'measured'.")]
+OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder for logs, plots and pages.")]
+
+
+def main() -> None:
+    """Entry point: errors of aerotact become one line and an exit code."""
+    try:
+        app()
+    except AerotactError as error:
+        _errors.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        _errors.print("interrupted; what was written so far is kept")
+        sys.exit(130)
+
+
+def _version(value: bool) -> None:
+    if value:
+        _console.print(f"aerotact {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    pass
+
+
+@app.command("list")
+def list_all() -> None:
+    """Show robots, laws, estimators, problems and experiments.
+
+    Example: `aerotact list`
+    """
+    from aerotact.estimation import estimators
+    from aerotact.experiments import experiments
+    from aerotact.laws import laws
+    from aerotact.resources import problem_files, robot_folders
+
+    table = Table("kind", "name", "where or what")
+    for name, folder in robot_folders().items():
+        table.add_row("robot", name, str(folder))
+    for kind, builders in (("law", laws()), ("estimator", estimators())):
+        for name, build in builders.items():
+            table.add_row(kind, name, str(build.__doc__).splitlines()[0])
+    for name, file in problem_files().items():
+        table.add_row("problem", name, str(file))
+    for name, experiment in experiments().items():
+        table.add_row("experiment", name, experiment.doc)
+    _console.print(table)
+
+
+@app.command()
+def check(
+    folder: Annotated[str, typer.Argument(help="Folder or name of a robot.")],
+    json_file: JsonOption = None,
+) -> None:
+    """Check a robot folder: loads, trims, CasADi = MuJoCo, allocation, limits, sensors, laws and problems that fit.
+
+    Example: `aerotact check models/my_robot`
+    """
+    from aerotact.check import check_robot
+
+    report = check_robot(folder)
+    table = Table("", "check", "found", title=f"robot {report.robot}")
+    for item in report.items:
+        table.add_row("[green]ok[/]" if item.passed else "[red]fails[/]", item.name, escape(item.detail))
+    _console.print(table)
+    if report.fits:
+        _console.print(f"fits: {', '.join(report.fits)}")
+    for misfit in report.misfits:
+        _console.print(f"does not fit: {escape(misfit)}")
+    if json_file is not None:
+        content = {
+            "robot": report.robot,
+            "passed": report.passed,
+            "items": [vars(item) for item in report.items],
+            "fits": report.fits,
+            "misfits": report.misfits,
+        }
+        _write(json_file, json.dumps(content, indent=2) + "\n")
+    if not report.passed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def generate(
+    name: Annotated[str, typer.Argument(help="A law, an estimator, or an ocp file by name or path.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the C project.")],
+    robot: Annotated[str, typer.Option("--robot", "-r", help="Name or folder of the robot.")],
+    rate: Annotated[float | None, typer.Option(help="Hz of a law or an estimator; 500 if not given.")] = None,
+) -> None:
+    """Write a standalone C project: header, sources, example, Makefile, CMakeLists.txt, manifest.
+
+    Examples: `aerotact generate tilt_hex_admittance --robot tilt_hex -o my_mpc`,
+    `aerotact generate ryll2019_admittance --robot models/my_robot --rate 250 -o my_law`
+    """
+    from aerotact.dynamics.model import Model
+    from aerotact.flight import controller_project
+    from aerotact.robot import load_robot
+
+    if rate is not None and not 1.0 <= rate <= 1e5:
+        raise InputError(f"--rate is {rate:g} Hz; valid: 1 to 100000 Hz")
+    project = controller_project(name, Model(load_robot(robot)), rate)
+    if rate is not None and abs(project.manifest["rate_hz"] - rate) > 1e-9:
+        raise InputError(
+            f"--rate is {rate:g} Hz, but '{name}' runs at {project.manifest['rate_hz']:g} Hz, set in its ocp file"
+        )
+    project.write(output)
+    size = sum(len(text) for text in project.files.values())
+    _console.print(f"wrote {len(project.files)} files, {size / 1024:.0f} KiB, to {output}")
+    _console.print(f"build and run its example:  make -C {output} run")
+
+
+@app.command()
+def fly(
+    experiment: Annotated[str, typer.Argument(help="Name of the experiment, paper/experiment.")],
+    controller: Annotated[str, typer.Option("--controller", "-c", help="law, law-tuned, mpc, or any law or ocp file.")],
+    case: Annotated[str | None, typer.Option(help="Case of the experiment; its first one if not given.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the sensors.")] = 0,
+    robot: RobotOption = None,
+    truth: TruthOption = False,
+    delay: DelayOption = "0",
+    output: OutputOption = Path("results"),
+) -> None:
+    """Fly one closed loop: log, plots, picture.
+
+    Example: `aerotact fly ryll2019/free-flight --controller mpc`
+    """
+    from aerotact.exceptions import UnknownName
+    from aerotact.experiments import find_experiment
+    from aerotact.flight import fly as fly_case
+    from aerotact.log import read_columns
+
+    found = find_experiment(experiment)
+    cases = {c.name: c for c in found.cases}
+    chosen = cases.get(case) if case is not None else found.cases[0]
+    if chosen is None:
+        raise UnknownName("case", str(case), cases, experiment)
+    folder = output / experiment
+    with _progress() as progress:
+        task = progress.add_task(f"{controller} {chosen.name}", total=chosen.duration)
+        log, result = fly_case(
+            found,
+            chosen,
+            controller,
+            seed,
+            _flight_options(robot, truth, delay, folder),
+            lambda t: progress.update(task, completed=t),
+        )
+        progress.update(task, completed=chosen.duration)
+    table = Table("metric", "value", "unit", title=f"{experiment} {chosen.name}, {controller}, seed {seed}")
+    for name, metric in result.metrics.items():
+        if metric.value is not None:
+            table.add_row(name, f"{metric.value:.4g}", metric.unit)
+    _console.print(table)
+    _console.print(f"status of the controller's steps: {log.statuses}")
+    if result.file is not None:
+        _console.print(f"log: {result.file}")
+        if not result.fault:
+            for figure in found.plot({(controller, chosen.name): read_columns(result.file)}, folder / controller):
+                _console.print(f"plot: {figure}")
+    _picture(robot or found.robot, folder)
+    if result.fault:
+        _errors.print(f"[bold red]the run ended early:[/] {escape(result.fault)}; the log holds what was flown")
+        raise typer.Exit(6)
+
+
+@app.command()
+def compare(
+    experiment: Annotated[str, typer.Argument(help="Name of the experiment, paper/experiment.")],
+    seeds: Annotated[int | None, typer.Option(min=1, help="How many seeds; the experiment's own if not given.")] = None,
+    controllers: Annotated[
+        list[str] | None, typer.Option("--controller", "-c", help="Only these; may be repeated.")
+    ] = None,
+    cases: Annotated[list[str] | None, typer.Option("--case", help="Only these; may be repeated.")] = None,
+    robot: RobotOption = None,
+    truth: TruthOption = False,
+    delay: DelayOption = "0",
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes.")] = 2,
+    output: OutputOption = Path("results"),
+    json_file: JsonOption = None,
+) -> None:
+    """Fly every controller on the same plant with the same seeds; print the table beside the paper, plot, write a page.
+
+    Example: `aerotact compare ryll2019/property-shaping --seeds 1`
+    """
+    from aerotact.compare import comparison_table, first_seed_logs, run_comparison
+    from aerotact.exceptions import UnknownName
+    from aerotact.experiments import find_experiment
+    from aerotact.log import read_columns
+    from aerotact.report import write_report
+
+    found = find_experiment(experiment)
+    known = [c.name for c in found.cases]
+    for name in cases or []:
+        if name not in known:
+            raise UnknownName("case", name, known, experiment)
+    folder = output / experiment
+    options = _flight_options(robot, truth, delay, folder)
+    with _progress() as progress:
+        task = progress.add_task("", total=None)
+        comparison = run_comparison(
+            found,
+            range(seeds or found.seeds),
+            options,
+            controllers or None,
+            cases or None,
+            jobs,
+            lambda done, total, what: progress.update(task, completed=done, total=total, description=what),
+        )
+    _console.print(comparison_table(comparison))
+    if truth:
+        _console.print("the controllers had the true state of the base, not an estimate")
+    _write(folder / "compare.json", comparison.to_json())
+    if json_file is not None:
+        _write(json_file, comparison.to_json())
+    figures = []
+    if not comparison.faults:
+        runs = {key: read_columns(file) for key, file in first_seed_logs(comparison).items()}
+        figures = found.plot(runs, folder)
+    for figure in figures:
+        _console.print(f"plot:    {figure}")
+    picture = _picture(robot or found.robot, folder)
+    page = write_report(comparison, found, [*([picture] if picture else []), *figures], folder / "report.html")
+    _console.print(f"page:    {page}")
+    _console.print(f"numbers: {folder / 'compare.json'}; logs beside it, one folder a controller")
+    for fault in comparison.faults:
+        _errors.print(f"[bold red]ended early:[/] {escape(fault)}")
+    if comparison.faults:
+        raise typer.Exit(6)
+
+
+def _progress() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=_console, transient=True)
+
+
+def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path):  # type: ignore[no-untyped-def]
+    from aerotact.flight import Options
+
+    late: float | Literal["measured"]
+    if delay == "measured":
+        late = "measured"
+    else:
+        try:
+            late = float(delay)
+        except ValueError as error:
+            raise InputError(f"--delay is '{delay}'; valid: seconds, or 'measured'") from error
+        if not 0.0 <= late <= 1.0:
+            raise InputError(f"--delay is {late:g} s; valid: 0 to 1 s")
+    return Options(robot, truth, late, folder)
+
+
+def _picture(robot: str, folder: Path) -> Path | None:
+    from aerotact.plant.picture import render
+    from aerotact.robot import load_robot
+
+    loaded = load_robot(robot)
+    picture = render(loaded, folder / f"{loaded.name}.png")
+    if picture:
+        _console.print(f"picture: {picture.file}")
+        return picture.file
+    _console.print(f"no picture: {picture.reason}")
+    return None
+
+
+def _write(file: Path, text: str) -> None:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written: {error}; valid: a file in a folder that you own") from error
+
+
+if __name__ == "__main__":
+    main()

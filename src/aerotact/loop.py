@@ -1,0 +1,245 @@
+"""Loop: plant, sensors, estimators and a controller, each at its own rate by the plant's clock, wired by port names."""
+
+import time as clock
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from aerotact.controller import Controller, Status
+from aerotact.exceptions import LoopError
+from aerotact.log import Log
+from aerotact.plant.plant import Plant
+from aerotact.plant.sensors import Sensors
+from aerotact.ports import Array, Port
+
+STATE_SIGNALS = ("p_WB", "q_WB", "v_WB", "w_B")
+_TRUTH = {
+    "p_WB": ("m", "W"),
+    "q_WB": ("1", "W"),
+    "v_WB": ("m/s", "W"),
+    "w_B": ("rad/s", "B"),
+    "thrust": ("N", ""),
+    "thrust_rate": ("N/s", ""),
+    "p_WE": ("m", "W"),
+    "q_WE": ("1", "W"),
+    "v_WE": ("m/s", "W"),
+    "f_tool_W": ("N", "W"),
+    "f_contact_W": ("N", "W"),
+}
+
+
+class Reference(Protocol):
+    """What is wanted over time."""
+
+    def sample(self, times: Array) -> Mapping[str, Array]:
+        """Signal -> array (len(times), size) for every reference port that it serves."""
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """How a loop is closed.
+
+    Attributes:
+        truth: the controller gets the true state of the base instead of the estimate.
+        delay: s from measurement to command: a number, or "measured" for the controller's own computing time.
+        reference: what is wanted.
+    """
+
+    reference: Reference
+    truth: bool = False
+    delay: float | Literal["measured"] = 0.0
+
+
+class Loop:
+    """One closed loop, ready to run once."""
+
+    def __init__(
+        self, plant: Plant, sensors: Sensors, estimators: Sequence[Controller], controller: Controller, wiring: Wiring
+    ) -> None:
+        """Wire it.
+
+        Raises:
+            LoopError: a rate that is no fraction of the physics' rate, or a port that nothing serves.
+        """
+        self.plant, self.sensors, self.controller, self.wiring = plant, sensors, controller, wiring
+        self.estimators = list(estimators)
+        self._imu_every = self._every(sensors.imu_rate, "the IMU")
+        self._mocap_every = self._every(sensors.mocap_rate, "motion capture")
+        self._control_every = self._every(controller.rate, controller.name)
+        for estimator in self.estimators:
+            if self._every(estimator.rate, estimator.name) != self._imu_every:
+                raise LoopError(
+                    f"{estimator.name} runs at {estimator.rate:g} Hz; valid: {sensors.imu_rate:g} Hz, the IMU's"
+                )
+        self._bus: dict[str, Array] = {
+            **sensors.imu(),
+            **sensors.motion_capture(),
+            **sensors.rotor_speed(),
+            "mocap_fresh": np.zeros(1),
+        }
+        for block in (*self.estimators, controller):
+            missing = [name for name in block.measurement if name not in self._bus]
+            if missing:
+                raise LoopError(
+                    f"nothing serves {', '.join(missing)} of {block.name}; there is: {', '.join(self._bus)}"
+                )
+            self._bus.update({name: value.copy() for name, value in block.output.items()})
+
+    def _every(self, rate: float, who: str) -> int:
+        steps = 1.0 / (rate * self.plant.timestep)
+        if abs(steps - round(steps)) > 1e-6 or steps < 1:
+            physics = 1.0 / self.plant.timestep
+            raise LoopError(f"{who} runs at {rate:g} Hz; valid: {physics:g} Hz divided by a whole number")
+        return round(steps)
+
+    def run(self, duration: float, head: Mapping[str, Any], progress: Callable[[float], None] | None = None) -> Log:
+        """Fly for `duration` seconds.
+
+        A run that fails keeps what it has: the log then ends early and `fault` says why.
+
+        Args:
+            duration: s.
+            head: what the log should tell about the run.
+            progress: called now and then with the simulated time.
+        """
+        dt = self.plant.timestep
+        steps = round(duration / dt)
+        tables = [
+            _ReferenceTable(block, self.wiring.reference, every, steps, dt)
+            for block, every in [
+                *((e, self._imu_every) for e in self.estimators),
+                (self.controller, self._control_every),
+            ]
+        ]
+        recorder = _Recorder(self.plant, self.controller, steps)
+        self._solve_times: list[float] = []
+        self._statuses: dict[str, int] = {}
+        pending: deque[tuple[int, Array]] = deque()
+        started = clock.perf_counter()
+        fault, done = "", 0
+        try:
+            for k in range(steps):
+                if k % self._imu_every == 0:
+                    self._sense(k, tables)
+                if k % self._control_every == 0:
+                    late = self._control(k, tables[-1])
+                    pending.append((k + round(late / dt), self.controller.output["thrust_cmd"].copy()))
+                while pending and pending[0][0] <= k:
+                    self.plant.command(pending.popleft()[1])
+                recorder.record(k, k * dt)
+                self.plant.step()
+                done = k + 1
+                if progress is not None and k % 500 == 0:
+                    progress(k * dt)
+        except (LoopError, KeyboardInterrupt) as error:
+            fault = str(error) or "interrupted"
+        wall = clock.perf_counter() - started
+        return recorder.log(done, dict(head), fault, wall, np.array(self._solve_times), self._statuses)
+
+    def _sense(self, k: int, tables: Sequence["_ReferenceTable"]) -> None:
+        bus = self._bus
+        bus.update(self.sensors.imu())
+        bus.update(self.sensors.rotor_speed())
+        fresh = k % self._mocap_every == 0
+        if fresh:
+            bus.update(self.sensors.motion_capture())
+        bus["mocap_fresh"] = np.array([float(fresh)])
+        for estimator, table in zip(self.estimators, tables, strict=False):
+            table.write(k)
+            for name, view in estimator.measurement.items():
+                view[:] = bus[name]
+            estimator.step()
+            bus.update(estimator.output)
+            if self.wiring.truth:
+                truth = self.plant.truth()
+                bus.update({name: truth[name] for name in STATE_SIGNALS})
+
+    def _control(self, k: int, table: "_ReferenceTable") -> float:
+        controller = self.controller
+        table.write(k)
+        for name, view in controller.measurement.items():
+            view[:] = self._bus[name]
+        before = clock.perf_counter()
+        status = controller.step()
+        taken = clock.perf_counter() - before
+        self._solve_times.append(taken)
+        self._statuses[status.name] = self._statuses.get(status.name, 0) + 1
+        delay = self.wiring.delay
+        return (
+            float(np.ceil(taken / self.plant.timestep) * self.plant.timestep) if delay == "measured" else float(delay)
+        )
+
+    @staticmethod
+    def usable(status: Status) -> bool:
+        """The step's command is its own, not a stand-in."""
+        return status in (Status.OK, Status.MAX_ITERATIONS, Status.DEADLINE)
+
+
+class _ReferenceTable:
+    """The references of one block at all its steps, sampled once."""
+
+    def __init__(self, block: Controller, reference: Reference, every: int, steps: int, dt: float) -> None:
+        self._every = every
+        nodes = np.array(block.manifest.get("times_s", [0.0]))
+        times = np.arange(0, steps, every) * dt
+        single = reference.sample(times)
+        preview = reference.sample((times[:, None] + nodes).ravel()) if len(nodes) > 1 else single
+        self._rows: list[tuple[Array, Array]] = []
+        for name, view in block.reference.items():
+            source = preview if view.ndim > 1 else single
+            if name not in source:
+                raise LoopError(f"nothing serves the reference {name} of {block.name}; there is: {', '.join(source)}")
+            self._rows.append((view, np.asarray(source[name]).reshape(len(times), *view.shape)))
+
+    def write(self, k: int) -> None:
+        """Put the values of physics step k into the block."""
+        row = k // self._every
+        for view, table in self._rows:
+            view[:] = table[row]
+
+
+class _Recorder:
+    """Preallocated rows of truth and of the controller's outputs, one a physics step."""
+
+    def __init__(self, plant: Plant, controller: Controller, steps: int) -> None:
+        self._plant, self._controller = plant, controller
+        truth = plant.truth()
+        ports = {n: Port(n, len(truth[n]), *_TRUTH[n]) for n in truth}
+        outputs = {
+            p["name"]: Port(p["name"], p["size"], p["unit"], p["frame"]) for p in controller.manifest["ports"]["output"]
+        }
+        measured = {
+            f"{p['name']}_est": Port(f"{p['name']}_est", p["size"], p["unit"], p["frame"], "as the controller got it")
+            for p in controller.manifest["ports"]["measurement"]
+        }
+        wanted = {
+            p["name"]: Port(p["name"], p["size"], p["unit"], p["frame"])
+            for p in controller.manifest["ports"]["reference"]
+        }
+        self._ports = {"time": Port("time", 1, "s"), **ports, **wanted, **outputs, **measured}
+        self._wanted = {name: view[0] if view.ndim > 1 else view for name, view in controller.reference.items()}
+        self._arrays = {n: np.full((steps, p.size), np.nan) for n, p in self._ports.items()}
+        self._truth_names = list(truth)
+
+    def record(self, k: int, time: float) -> None:
+        """Row k."""
+        arrays = self._arrays
+        arrays["time"][k] = time
+        truth = self._plant.truth()
+        for name in self._truth_names:
+            arrays[name][k] = truth[name]
+        for group in (self._wanted, self._controller.output):
+            for name, value in group.items():
+                arrays[name][k] = value
+        for name, value in self._controller.measurement.items():
+            arrays[f"{name}_est"][k] = value
+
+    def log(
+        self, rows: int, head: dict[str, Any], fault: str, wall: float, solve_times: Array, statuses: dict[str, int]
+    ) -> Log:
+        """The log of the first `rows` rows."""
+        columns = {n: a[:rows] for n, a in self._arrays.items()}
+        return Log(self._plant.timestep, columns, self._ports, head, fault, wall, solve_times, statuses)
