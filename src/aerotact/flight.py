@@ -134,7 +134,7 @@ def fly(
         "delay": options.delay,
         "inputs": {**controller.manifest["inputs"], "controller": project.digest},
         "ocp": controller.manifest.get("ocp"),
-        "versions": {"aerotact": __version__, "mujoco": mujoco.__version__},
+        "versions": {"aerotact": __version__, "mujoco": mujoco.mj_versionString()},
     }
     log = loop.run(case.duration, head, progress)
     metrics = standard_metrics(log, robot, log.window(*case.judged))

@@ -196,7 +196,7 @@ class BlockBuilder:
     """Collects ports as symbols, then closes them into a Block."""
 
     def __init__(self, name: str, source: str, rate: float, doc: str) -> None:
-        self._head = {"name": name, "source": source, "rate": rate, "doc": doc}
+        self._head: dict[str, Any] = {"name": name, "source": source, "rate": rate, "doc": doc}
         self._ports: dict[str, list[Port]] = {k: [] for k in ("state", "measurement", "reference", "parameters")}
         self._symbols: dict[str, list[Any]] = {k: [] for k in self._ports}
         self._next: dict[str, Any] = {}
@@ -263,7 +263,10 @@ class BlockBuilder:
         )
         return Block(
             **self._head,
-            **{k: Layout(v) for k, v in self._ports.items()},
+            state=Layout(self._ports["state"]),
+            measurement=Layout(self._ports["measurement"]),
+            reference=Layout(self._ports["reference"]),
+            parameters=Layout(self._ports["parameters"]),
             output=Layout(p for p, _ in self._outputs),
             step=step,
             limiter=self._limiter.step if self._limiter else None,

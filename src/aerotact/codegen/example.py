@@ -93,7 +93,8 @@ def make_example(
             '#ifdef __cplusplus\nextern "C" {\n#endif',
             *[signature(n, a, r) + ";" for _, n, a, r in functions],
             *[
-                f"static const double {name}_example_{key}[{value.size}] = {{{', '.join(map(number, value.tolist()))}}};"
+                f"static const double {name}_example_{key}[{value.size}] = "
+                f"{{{', '.join(map(number, value.tolist()))}}};"
                 for key, value in constants.items()
             ],
             "#ifdef __cplusplus\n}\n#endif\n#endif\n",

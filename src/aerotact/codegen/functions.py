@@ -1,7 +1,7 @@
 """CasADi SX functions as C99: one straight-line C function each, no memory, no state, nothing but math.h.
 
-Every CasADi instruction becomes one assignment to a numbered local, in CasADi's own order, so that the compiled function
-equals CasADi's evaluation to round-off.
+Every CasADi instruction becomes one assignment to a numbered local, in CasADi's own order, so that the compiled
+function equals CasADi's evaluation to round-off.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ import casadi as ca
 
 from aerotact.exceptions import CodegenError
 
-_BINARY = {
+BINARY = {
     ca.OP_ADD: "{} + {}",
     ca.OP_SUB: "{} - {}",
     ca.OP_MUL: "{} * {}",
@@ -33,7 +33,7 @@ _BINARY = {
     ca.OP_COPYSIGN: "copysign({}, {})",
     ca.OP_HYPOT: "hypot({}, {})",
 }
-_UNARY = {
+UNARY = {
     ca.OP_ASSIGN: "{}",
     ca.OP_NEG: "-{}",
     ca.OP_SQ: "{0} * {0}",
@@ -120,10 +120,10 @@ def emit(function: Any, name: str, arguments: list[str], results: list[str], des
             used.add(arguments[inputs[0]])
             version[outputs[0]] = f"{arguments[inputs[0]]}[{inputs[1]}]"
             continue
-        if op in _BINARY:
-            value = _BINARY[op].format(version[inputs[0]], version[inputs[1]])
-        elif op in _UNARY:
-            value = _UNARY[op].format(version[inputs[0]])
+        if op in BINARY:
+            value = BINARY[op].format(version[inputs[0]], version[inputs[1]])
+        elif op in UNARY:
+            value = UNARY[op].format(version[inputs[0]])
         else:
             raise CodegenError(f"{name}: CasADi operation {op} has no C form here")
         version[outputs[0]] = f"v{k}"

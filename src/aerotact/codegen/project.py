@@ -167,7 +167,7 @@ def manifest(block: Block, robot: Robot, extra: Mapping[str, Any]) -> str:
         "rate_hz": block.rate,
         "robot": robot.name,
         "inputs": {f: hashlib.sha256((robot.folder / f).read_bytes()).hexdigest() for f in ("plant.xml", "robot.toml")},
-        "versions": {"aerotact": __version__, "casadi": ca.__version__, "mujoco": mujoco.__version__},
+        "versions": {"aerotact": __version__, "casadi": ca.CasadiMeta.version(), "mujoco": mujoco.mj_versionString()},
         "sizes": {t: layout.size for t, layout in layouts.items()},
         "ports": {
             t: [

@@ -82,6 +82,33 @@ def initialise(p_BI: Any, noise: Noise, p_WB: Any, q_WB: Any) -> Nominal:
     return Nominal(p_WB + ca.mtimes(so3.rotation(q_WB), p_BI), q_WB, zero, zero, zero, P)
 
 
+def transition(R_WB: Any, specific_force_B: Any, w_B: Any, h: float) -> Any:
+    """Matrix (15, 15) that carries the errors over h seconds, to first order in h.
+
+    Args:
+        R_WB: attitude in the middle of the step.
+        specific_force_B: m/s2, free of bias.
+        w_B: rad/s, free of bias.
+        h: s.
+    """
+    F = ca.SX.eye(ERRORS)
+    F[POSITION, VELOCITY] = h * ca.SX.eye(3)
+    F[ATTITUDE, ATTITUDE] = so3.rotation(so3.exponential(-h * w_B))
+    F[ATTITUDE, GYRO_BIAS] = -h * ca.SX.eye(3)
+    F[VELOCITY, ATTITUDE] = -h * ca.mtimes(R_WB, so3.skew(specific_force_B))
+    F[VELOCITY, ACCELEROMETER_BIAS] = -h * R_WB
+    return F
+
+
+def observation(R_WB: Any, p_BI: Any) -> Any:
+    """Matrix (6, 15) from the errors to those of motion capture's position, m in W, and attitude, rad in B."""
+    H = ca.SX(6, ERRORS)
+    H[0:3, POSITION] = ca.SX.eye(3)
+    H[0:3, ATTITUDE] = ca.mtimes(R_WB, so3.skew(p_BI))  # p_WB = p_WI - R_WB exp([dtheta]x) p_BI
+    H[3:6, ATTITUDE] = ca.SX.eye(3)
+    return H
+
+
 def predict(state: Nominal, noise: Noise, specific_force_B: Any, w_B: Any, gravity: float, h: float) -> Nominal:
     """State h seconds later, with specific force, m/s2, and angular velocity, rad/s, free of bias and held."""
     half_turn = so3.product(state.q_WB, so3.exponential(h / 2 * w_B))
@@ -89,12 +116,7 @@ def predict(state: Nominal, noise: Noise, specific_force_B: Any, w_B: Any, gravi
     R_WB = so3.rotation(half_turn)
     a_WI = ca.mtimes(R_WB, specific_force_B) - ca.DM([0, 0, gravity])
 
-    F = ca.SX.eye(ERRORS)
-    F[POSITION, VELOCITY] = h * ca.SX.eye(3)
-    F[ATTITUDE, ATTITUDE] = so3.rotation(so3.exponential(-h * w_B))
-    F[ATTITUDE, GYRO_BIAS] = -h * ca.SX.eye(3)
-    F[VELOCITY, ATTITUDE] = -h * ca.mtimes(R_WB, so3.skew(specific_force_B))
-    F[VELOCITY, ACCELEROMETER_BIAS] = -h * R_WB
+    F = transition(R_WB, specific_force_B, w_B, h)
     added = [
         ca.SX.zeros(3),
         ca.repmat((h * noise.gyro) ** 2, 3, 1),
@@ -116,10 +138,7 @@ def predict(state: Nominal, noise: Noise, specific_force_B: Any, w_B: Any, gravi
 def correct(state: Nominal, noise: Noise, p_BI: Any, p_WB: Any, q_WB: Any) -> Nominal:
     """State after a motion-capture sample of the base: six scalar updates, so that nothing is inverted."""
     R_WB = so3.rotation(state.q_WB)
-    H = ca.SX(6, ERRORS)
-    H[0:3, POSITION] = ca.SX.eye(3)
-    H[0:3, ATTITUDE] = ca.mtimes(R_WB, so3.skew(p_BI))  # p_WB = p_WI - R_WB exp([dtheta]x) p_BI
-    H[3:6, ATTITUDE] = ca.SX.eye(3)
+    H = observation(R_WB, p_BI)
     residual = ca.vertcat(p_WB - (state.p_WI - ca.mtimes(R_WB, p_BI)), so3.local(state.q_WB, q_WB))
     variance = ca.vertcat(
         ca.repmat(noise.mocap_position**2, 3, 1),
