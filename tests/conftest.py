@@ -95,3 +95,13 @@ def native() -> Callable[[CProject], Native]:
 def problem_text() -> str:
     """The ocp file of models/tilt_hex, to be spoilt."""
     return PROBLEM.read_text()
+
+
+@pytest.fixture(scope="session")
+def short_problem(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same problem over four intervals, for what is slow."""
+    text = PROBLEM.read_text()
+    start, end = text.index("times = ["), text.index("]\n", text.index("times = ["))
+    path = tmp_path_factory.mktemp("ocp") / "short_admittance.toml"
+    path.write_text(text[:start] + "times = [0.0, 0.01, 0.03, 0.09, 0.24" + text[end:])
+    return path

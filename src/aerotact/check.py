@@ -10,7 +10,7 @@ import numpy as np
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.rotors import allocation, allocation_rank
 from aerotact.estimation import estimators
-from aerotact.exceptions import AerotactError, MissingCapability
+from aerotact.exceptions import AerotactError, RobotError
 from aerotact.laws import laws
 from aerotact.mpc.ocp import load_ocp
 from aerotact.plant.plant import Plant
@@ -23,6 +23,7 @@ AGREEMENT = 1e-9  # m/s2 and rad/s2, between CasADi and MuJoCo
 TRIM = 1e-9  # m/s2, rad/s2 and N/s at the hover keyframe
 STATES = 200  # random states and commands
 PHYSICS_RATE = 1000.0  # Hz
+RATE_EXCESS = 10.0  # times what the lag allows, beyond which a thrust rate cannot be meant
 
 
 @dataclass(frozen=True)
@@ -63,15 +64,16 @@ def check_robot(name_or_path: str | Path, seed: int = 0) -> Report:
     """
     try:
         robot = load_robot(name_or_path)
-    except AerotactError as error:
-        if type(error).__name__ == "UnknownName":
-            raise
+    except RobotError as error:
         return Report(str(name_or_path), (Item("loads without a MuJoCo warning", False, str(error)),), (), ())
+    fits, misfits, faults = _fits(robot)
     items = [
         Item("loads without a MuJoCo warning", True, f"{robot.mass:.4g} kg, {len(robot.rotors)} rotors"),
         *_items(robot, seed),
+        Item(
+            "gains are parameters of their blocks", not faults, "; ".join(faults) or f"{len(robot.file.gains)} blocks"
+        ),
     ]
-    fits, misfits = _fits(robot)
     return Report(robot.name, tuple(items), tuple(fits), tuple(misfits))
 
 
@@ -105,7 +107,7 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
         f"largest difference {error:.1e} over {STATES} random states and commands",
         f"{plant_xml}: leave out what the model has not: joints beside the free one, fluid, springs, damping",
     )
-    yield from _limits(robot, robot_toml, plant_xml)
+    yield _limits(robot, robot_toml, plant_xml)
     try:
         Sensors(Plant(robot), robot, seed)
         rates = (robot.file.sensors.imu.rate, robot.file.sensors.motion_capture.rate)
@@ -125,34 +127,29 @@ def _item(name: str, passed: bool, detail: str, remedy: str) -> Item:
     return Item(name, passed, detail if passed else f"{detail}; {remedy}")
 
 
-def _limits(robot: Robot, robot_toml: Path, plant_xml: Path) -> Iterator[Item]:
+def _limits(robot: Robot, robot_toml: Path, plant_xml: Path) -> Item:
+    name = "limits are consistent"
     for number, rotor in enumerate(robot.rotors):
-        hover = robot.hover_thrust[number]
-        if not rotor.thrust[0] < hover < rotor.thrust[1]:
-            yield Item(
-                "limits are consistent",
-                False,
-                f"{plant_xml}: actuator '{rotor.actuator}': hover needs {hover:.3g} N, ctrlrange is {rotor.thrust}; widen it",
+        hover, (lower, upper) = robot.hover_thrust[number], rotor.thrust
+        part = f"{plant_xml}: actuator '{rotor.actuator}'"
+        if lower < 0:
+            return Item(
+                name, False, f"{part}: ctrlrange starts at {lower:g} N and a rotor does not pull; start at >= 0"
             )
-            return
-        if rotor.thrust[0] < 0:
-            yield Item(
-                "limits are consistent",
-                False,
-                f"{plant_xml}: actuator '{rotor.actuator}': ctrlrange starts at {rotor.thrust[0]} N; a rotor does not pull",
+        if not lower < hover < upper:
+            return Item(
+                name, False, f"{part}: hover needs {hover:.3g} N, ctrlrange is {lower:g} to {upper:g}; widen it"
             )
-            return
-        reach = (rotor.thrust[1] - rotor.thrust[0]) / rotor.time_constant
-        if rotor.thrust_rate[1] > 10 * reach:
-            yield Item(
-                "limits are consistent",
+        rate, reach = max(np.abs(rotor.thrust_rate)), (upper - lower) / rotor.time_constant
+        if rate > RATE_EXCESS * reach:
+            return Item(
+                name,
                 False,
-                f"{robot_toml}: rotors[{number}].thrust_rate: {rotor.thrust_rate[1]:g} N/s is beyond what a lag of "
-                f"{rotor.time_constant:g} s allows ({reach:g} N/s); check its unit",
+                f"{robot_toml}: rotors[{number}].thrust_rate: {rate:g} N/s is far beyond what a lag of "
+                f"{rotor.time_constant:g} s allows, {reach:g} N/s; check its unit",
             )
-            return
     margin = min(min(h - r.thrust[0], r.thrust[1] - h) for h, r in zip(robot.hover_thrust, robot.rotors, strict=True))
-    yield Item("limits are consistent", True, f"smallest margin of thrust at hover {margin:.3g} N")
+    return Item(name, True, f"smallest margin of thrust at hover {margin:.3g} N")
 
 
 def _at(robot: Robot) -> mujoco.MjData:
@@ -192,7 +189,7 @@ def _disagreement(robot: Robot, rng: np.random.Generator) -> float:
         attitude = rng.normal(size=4)
         x = model.state.pack(
             {
-                "p_WB": rng.uniform(-2, 2, 3) + [0, 0, 10],
+                "p_WB": rng.uniform([-2, -2, 8], [2, 2, 12]),
                 "q_WB": attitude / np.linalg.norm(attitude),
                 "v_WB": rng.normal(size=3),
                 "w_B": 2 * rng.normal(size=3),
@@ -221,20 +218,26 @@ def _wrench_at_base(robot: Robot, q_WB: Array, f_W: Array, tau_B: Array) -> Arra
     return np.concatenate([f_W, R_WB @ tau_B + np.cross(lever_W, f_W)])
 
 
-def _fits(robot: Robot) -> tuple[list[str], list[str]]:
-    """Names of laws, estimators and problems that can be built for the robot, and why the others cannot."""
-    model, fits, misfits = Model(robot), [], []
-    rate = robot.file.sensors.imu.rate
-    for name, build in {**laws(), **estimators()}.items():
+def _fits(robot: Robot) -> tuple[list[str], list[str], list[str]]:
+    """What can be built for the robot, by name, why other things cannot, and which gains are wrong."""
+    model, rate = Model(robot), robot.file.sensors.imu.rate
+    blocks, problems = laws() | estimators(), problem_files()
+    fits: list[str] = []
+    misfits: list[str] = []
+    faults = [
+        f"{robot.folder / 'robot.toml'}: gains.{name}: is no law and no estimator; valid: {', '.join(blocks)}"
+        for name in robot.file.gains
+        if name not in blocks
+    ]
+    for name in [*blocks, *problems]:
         try:
-            build(model, rate)
+            if name in blocks:
+                blocks[name](model, rate)
+            else:
+                load_ocp(name, model)
             fits.append(name)
-        except MissingCapability as error:
+        except RobotError as error:
+            faults.append(str(error))
+        except AerotactError as error:
             misfits.append(str(error))
-    for name in problem_files():
-        try:
-            load_ocp(name, model)
-            fits.append(name)
-        except MissingCapability as error:
-            misfits.append(str(error))
-    return fits, misfits
+    return fits, misfits, faults

@@ -5,9 +5,10 @@ Exit codes: 0 done; 1 a check or a run failed; 2 a name or an argument is wrong;
 """
 
 import json
+import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -18,6 +19,9 @@ from rich.table import Table
 from aerotact import __version__
 from aerotact.exceptions import AerotactError, InputError
 
+if TYPE_CHECKING:
+    from aerotact.flight import Options
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -27,6 +31,8 @@ app = typer.Typer(
 )
 _console = Console()
 _errors = Console(stderr=True)
+_OPENGL = os.environ.get("MUJOCO_GL", "").strip().lower()  # as the user wants it
+_NO_OPENGL = ("disabled", "disable", "off", "false", "0")  # in MuJoCo's words
 
 RobotOption = Annotated[str | None, typer.Option("--robot", "-r", help="Name or folder of the robot.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Also write the numbers to this file.")]
@@ -37,11 +43,17 @@ OutputOption = Annotated[Path, typer.Option("--output", "-o", help="Folder for l
 
 def main() -> None:
     """Entry point: errors of aerotact become one line and an exit code."""
+    # Only the process that takes a picture needs OpenGL, and MuJoCo cannot be imported where MUJOCO_GL names a backend
+    # that is missing.
+    os.environ["MUJOCO_GL"] = _NO_OPENGL[0]
     try:
         app()
     except AerotactError as error:
         _errors.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
         sys.exit(error.exit_code)
+    except OSError as error:
+        _errors.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
+        sys.exit(1)
     except KeyboardInterrupt:
         _errors.print("interrupted; what was written so far is kept")
         sys.exit(130)
@@ -101,9 +113,9 @@ def check(
         table.add_row("[green]ok[/]" if item.passed else "[red]fails[/]", item.name, escape(item.detail))
     _console.print(table)
     if report.fits:
-        _console.print(f"fits: {', '.join(report.fits)}")
+        _say(f"fits: {', '.join(report.fits)}")
     for misfit in report.misfits:
-        _console.print(f"does not fit: {escape(misfit)}")
+        _say(f"does not fit: {misfit}")
     if json_file is not None:
         content = {
             "robot": report.robot,
@@ -142,8 +154,8 @@ def generate(
         )
     project.write(output)
     size = sum(len(text) for text in project.files.values())
-    _console.print(f"wrote {len(project.files)} files, {size / 1024:.0f} KiB, to {output}")
-    _console.print(f"build and run its example:  make -C {output} run")
+    _say(f"wrote {len(project.files)} files, {size / 1024:.0f} KiB, to {output}")
+    _say(f"build and run its example:  make -C {output} run")
 
 
 @app.command()
@@ -188,15 +200,17 @@ def fly(
         if metric.value is not None:
             table.add_row(name, f"{metric.value:.4g}", metric.unit)
     _console.print(table)
-    _console.print(f"status of the controller's steps: {log.statuses}")
+    for block, statuses in {"controller": log.statuses, **log.estimator_statuses}.items():
+        _say(f"steps of {block}: {', '.join(f'{count} {status}' for status, count in statuses.items())}")
     if result.file is not None:
-        _console.print(f"log: {result.file}")
+        _say(f"log:     {result.file}")
         if not result.fault:
-            for figure in found.plot({(controller, chosen.name): read_columns(result.file)}, folder / controller):
-                _console.print(f"plot: {figure}")
+            runs = {(result.controller, chosen.name): read_columns(result.file)}
+            for figure in found.plot(runs, folder / result.controller):
+                _say(f"plot:    {figure}")
     _picture(robot or found.robot, folder)
     if result.fault:
-        _errors.print(f"[bold red]the run ended early:[/] {escape(result.fault)}; the log holds what was flown")
+        _errors.print(f"[bold red]ended early:[/] {escape(result.fault)}; the log holds what was flown", soft_wrap=True)
         raise typer.Exit(6)
 
 
@@ -245,22 +259,21 @@ def compare(
         )
     _console.print(comparison_table(comparison))
     if truth:
-        _console.print("the controllers had the true state of the base, not an estimate")
+        _say("the controllers had the true state of the base, not an estimate")
     _write(folder / "compare.json", comparison.to_json())
     if json_file is not None:
         _write(json_file, comparison.to_json())
-    figures = []
-    if not comparison.faults:
-        runs = {key: read_columns(file) for key, file in first_seed_logs(comparison).items()}
-        figures = found.plot(runs, folder)
+    runs = {key: read_columns(file) for key, file in first_seed_logs(comparison).items()}
+    figures = found.plot(runs, folder) if runs else []
     for figure in figures:
-        _console.print(f"plot:    {figure}")
+        _say(f"plot:    {figure}")
     picture = _picture(robot or found.robot, folder)
     page = write_report(comparison, found, [*([picture] if picture else []), *figures], folder / "report.html")
-    _console.print(f"page:    {page}")
-    _console.print(f"numbers: {folder / 'compare.json'}; logs beside it, one folder a controller")
+    _say(f"page:    {page}")
+    _say(f"numbers: {folder / 'compare.json'}")
+    _say(f"logs:    {folder}, one folder a controller")
     for fault in comparison.faults:
-        _errors.print(f"[bold red]ended early:[/] {escape(fault)}")
+        _errors.print(f"[bold red]ended early:[/] {escape(fault)}", soft_wrap=True)
     if comparison.faults:
         raise typer.Exit(6)
 
@@ -270,7 +283,7 @@ def _progress() -> Progress:
     return Progress(*columns, console=_console, transient=True)
 
 
-def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path):  # type: ignore[no-untyped-def]
+def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path) -> "Options":
     from aerotact.flight import Options
 
     late: float | Literal["measured"]
@@ -283,6 +296,7 @@ def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path):  
             raise InputError(f"--delay is '{delay}'; valid: seconds, or 'measured'") from error
         if not 0.0 <= late <= 1.0:
             raise InputError(f"--delay is {late:g} s; valid: 0 to 1 s")
+    _make_folder(folder)
     return Options(robot, truth, late, folder)
 
 
@@ -290,18 +304,33 @@ def _picture(robot: str, folder: Path) -> Path | None:
     from aerotact.plant.picture import render
     from aerotact.robot import load_robot
 
+    if _OPENGL in _NO_OPENGL:
+        _say(f"no picture: MUJOCO_GL is '{_OPENGL}'")
+        return None
+    os.environ["MUJOCO_GL"] = _OPENGL
     loaded = load_robot(robot)
     picture = render(loaded, folder / f"{loaded.name}.png")
-    if picture:
-        _console.print(f"picture: {picture.file}")
-        return picture.file
-    _console.print(f"no picture: {picture.reason}")
-    return None
+    _say(f"picture: {picture.file}" if picture else picture.reason)
+    return picture.file if picture else None
+
+
+def _say(line: str) -> None:
+    """One line, whatever its length, as it is."""
+    _console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error}; valid: a folder that you own") from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{folder}: cannot be written; valid: a folder that you own")
 
 
 def _write(file: Path, text: str) -> None:
+    _make_folder(file.parent)
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{file}: cannot be written: {error}; valid: a file in a folder that you own") from error

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -14,7 +14,7 @@ from aerotact.codegen.build import compile_library
 from aerotact.dynamics.model import Model
 from aerotact.experiments import find_experiment
 from aerotact.experiments.experiment import Experiment
-from aerotact.flight import ESTIMATORS, Options, Result, controller_project, find_controller, fly
+from aerotact.flight import ESTIMATORS, Options, Result, controller_project, find_controller, fly, shown_name
 from aerotact.metrics import UNITS
 from aerotact.robot import load_robot
 
@@ -29,7 +29,8 @@ class Comparison:
         experiment: its name.
         seeds: that were flown.
         paper: metric -> number of the paper.
-        controllers: label -> metric -> mean and std over the runs, and the unit; mean is None where it does not apply.
+        controllers: label -> metric -> mean and std over the seeds, and the unit; mean is None where it does not apply.
+            Runs that ended early do not count.
         results: of every run.
     """
 
@@ -96,7 +97,7 @@ def run_comparison(
         experiment.name,
         tuple(seeds),
         {name: number.value for name, number in experiment.paper.items()},
-        {label: _statistics([r for r in results if r.controller == label]) for label in labels},
+        {name: _statistics([r for r in results if r.controller == name]) for name in map(shown_name, labels)},
         tuple(results),
     )
 
@@ -119,11 +120,14 @@ def _fly_one(experiment: str, label: str, case: str, seed: int, options: Options
 
 
 def _statistics(results: Sequence[Result]) -> dict[str, Statistic]:
-    """Mean and standard deviation over the seeds of each metric, which is first averaged over a seed's runs that have it."""
-    names = list(dict.fromkeys(name for r in results for name in r.metrics))
+    """Mean and standard deviation of each metric over the seeds, of each seed its mean over those runs that have it.
+
+    A run that ended early is left out: its numbers are of another length.
+    """
+    whole = [r for r in results if not r.fault]
     statistics: dict[str, Statistic] = {}
-    for name in names:
-        found = [(r.seed, r.metrics[name]) for r in results if name in r.metrics]
+    for name in dict.fromkeys(name for r in whole for name in r.metrics):
+        found = [(r.seed, r.metrics[name]) for r in whole if name in r.metrics]
         seeds: dict[int, list[float]] = {}
         for seed, metric in found:
             if metric.value is not None:
@@ -137,7 +141,7 @@ def _statistics(results: Sequence[Result]) -> dict[str, Statistic]:
     return statistics
 
 
-_SCALES = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180 / np.pi, "deg")}
+_SCALES = {"m": (1e3, "mm"), "s": (1e6, "us"), "rad": (180 / np.pi, "deg")}
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
@@ -181,7 +185,10 @@ def comparison_table(comparison: Comparison) -> Table:
     header, rows = comparison_rows(comparison)
     seeds = len(comparison.seeds)
     spread = f"mean ± std over {seeds} seeds" if seeds > 1 else "one seed"
-    table = Table(title=f"{comparison.experiment}, {spread}", box=box.SIMPLE_HEAD, pad_edge=False)
+    early = len(comparison.faults)
+    caption = f"{early} of {len(comparison.results)} runs ended early and are not in the means" if early else None
+    title = f"{comparison.experiment}, {spread}"
+    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False)
     for i, name in enumerate(header):
         table.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:
@@ -189,7 +196,7 @@ def comparison_table(comparison: Comparison) -> Table:
     return table
 
 
-def first_seed_logs(comparison: Comparison) -> dict[tuple[str, str], Any]:
-    """(controller, case) -> log file of the first seed, for plots."""
-    first = comparison.seeds[0]
-    return {(r.controller, r.case): r.file for r in comparison.results if r.seed == first and r.file is not None}
+def first_seed_logs(comparison: Comparison) -> dict[tuple[str, str], Path]:
+    """(controller, case) -> log file of the first seed, for plots; without runs that ended early."""
+    found = [r for r in comparison.results if r.seed == comparison.seeds[0] and not r.fault]
+    return {(r.controller, r.case): r.file for r in found if r.file is not None}

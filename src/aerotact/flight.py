@@ -13,7 +13,7 @@ from aerotact.codegen.project import CProject, block_project
 from aerotact.controller import Controller
 from aerotact.dynamics.model import Model
 from aerotact.estimation import estimators
-from aerotact.exceptions import UnknownName
+from aerotact.exceptions import InputError, UnknownName
 from aerotact.experiments.experiment import Case, ControllerSpec, Experiment
 from aerotact.laws import laws
 from aerotact.log import Log
@@ -88,6 +88,11 @@ def find_controller(experiment: Experiment, label: str) -> ControllerSpec:
     raise UnknownName("controller", label, [*experiment.controllers, *laws(), *problem_files()], experiment.name)
 
 
+def shown_name(label: str) -> str:
+    """A controller's label as logs and tables show it: an ocp file's name instead of its path."""
+    return Path(label).stem if Path(label).suffix == ".toml" else label
+
+
 def _controller(project: CProject, parameters: Mapping[str, Any]) -> Controller:
     controller = Controller(project)
     controller.set_parameters(parameters)
@@ -105,8 +110,8 @@ def fly(
     """Fly one case.
 
     Raises:
-        AerotactError: the robot, the controller or the loop cannot be built. A run that fails under way does not raise:
-            its log ends early and `fault` says why.
+        AerotactError: the robot, the controller or the loop cannot be built, or the log cannot be written. A run that
+            fails under way does not raise: its log ends early and `fault` says why.
     """
     options = options or Options()
     robot = load_robot(options.robot or experiment.robot)
@@ -126,7 +131,7 @@ def fly(
     head = {
         "experiment": experiment.name,
         "case": case.name,
-        "controller": label,
+        "controller": shown_name(label),
         "block": spec.block,
         "robot": robot.name,
         "seed": seed,
@@ -142,6 +147,9 @@ def fly(
         metrics |= experiment.metrics(case, log)
     file = None
     if options.folder is not None:
-        stem = options.folder / label / case.name / f"seed{seed}"
-        file = log.save(stem, {name: m.value for name, m in metrics.items()})
-    return log, Result(label, case.name, seed, metrics, log.fault, file)
+        stem = options.folder / shown_name(label) / case.name / f"seed{seed}"
+        try:
+            file = log.save(stem, {name: m.value for name, m in metrics.items()})
+        except OSError as error:
+            raise InputError(f"{stem}: log cannot be written: {error}; valid: a folder that you own") from error
+    return log, Result(shown_name(label), case.name, seed, metrics, log.fault, file)

@@ -29,6 +29,8 @@ class Log:
         wall: s of wall clock that the run took.
         solve_times: s of each controller step.
         statuses: name -> count of what the controller returned.
+        estimator_statuses: estimator -> name -> count of what it returned.
+        every: rows from one step of the controller to the next.
     """
 
     period: float
@@ -39,6 +41,8 @@ class Log:
     wall: float = 0.0
     solve_times: Array = field(default_factory=lambda: np.zeros(0))
     statuses: dict[str, int] = field(default_factory=dict)
+    estimator_statuses: dict[str, dict[str, int]] = field(default_factory=dict)
+    every: int = 1
 
     def __getitem__(self, signal: str) -> Array:
         if signal not in self.columns:
@@ -58,6 +62,11 @@ class Log:
         first, last = np.searchsorted(self.time, [start - 1e-9, stop - 1e-9])
         return slice(int(first), int(last))
 
+    def stepped(self, rows: slice) -> Array:
+        """Indices of those rows in which the controller stepped, so that none of its outputs is old."""
+        indices = np.arange(len(self.time))[rows]
+        return indices[indices % self.every == 0]
+
     def save(self, stem: Path, metrics: Mapping[str, Any], rate: float = LOG_RATE) -> Path:
         """Write `<stem>.parquet`, thinned to `rate` Hz in single precision, and `<stem>.json`; returns the former."""
         stem.parent.mkdir(parents=True, exist_ok=True)
@@ -69,10 +78,10 @@ class Log:
             for label, column in zip(labels, values[::every].T, strict=True):
                 kind = pa.float64() if name == "time" else pa.float32()
                 arrays.append(pa.array(column, type=kind))
-                meta = {"unit": port.unit, "frame": port.frame, "doc": port.doc}
+                meta = {"signal": name, "unit": port.unit, "frame": port.frame, "doc": port.doc}
                 fields.append(pa.field(f"{name}_{label}" if label else name, kind, metadata=meta))
         head = {"aerotact": json.dumps(self.head, sort_keys=True)}
-        path = stem.with_suffix(".parquet")
+        path = stem.with_name(f"{stem.name}.parquet")
         pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=head)), path, compression="zstd")
         summary = {
             **self.head,
@@ -80,9 +89,11 @@ class Log:
             "duration_s": float(self.time[-1]) if len(self.time) else 0.0,
             "wall_s": self.wall,
             "statuses": self.statuses,
+            "estimator_statuses": self.estimator_statuses,
             "metrics": dict(metrics),
         }
-        stem.with_suffix(".json").write_text(json.dumps(summary, indent=2, sort_keys=True) + "\n")
+        text = json.dumps(summary, indent=2, sort_keys=True) + "\n"
+        stem.with_name(f"{stem.name}.json").write_text(text, encoding="utf-8")
         return path
 
 
@@ -91,7 +102,6 @@ def read_columns(path: Path) -> dict[str, Array]:
     table = pq.read_table(path)
     joined: dict[str, list[Array]] = {}
     for field_ in table.schema:
-        stem, _, label = field_.name.rpartition("_")
-        name = stem if label in {"w", "x", "y", "z"} or label.isdigit() else field_.name
-        joined.setdefault(name, []).append(table[field_.name].to_numpy().astype(float))
+        signal = field_.metadata[b"signal"].decode()
+        joined.setdefault(signal, []).append(table[field_.name].to_numpy().astype(float))
     return {name: np.stack(columns, axis=1) for name, columns in joined.items()}

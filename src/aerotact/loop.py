@@ -1,7 +1,7 @@
 """Loop: plant, sensors, estimators and a controller, each at its own rate by the plant's clock, wired by port names."""
 
 import time as clock
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -9,12 +9,13 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from aerotact.controller import Controller, Status
-from aerotact.exceptions import LoopError
+from aerotact.exceptions import AerotactError, LoopError
 from aerotact.log import Log
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
 from aerotact.ports import Array, Port
 
+COMMAND = "thrust_cmd"
 STATE_SIGNALS = ("p_WB", "q_WB", "v_WB", "w_B")
 _TRUTH = {
     "p_WB": ("m", "W"),
@@ -62,7 +63,8 @@ class Loop:
         """Wire it.
 
         Raises:
-            LoopError: a rate that is no fraction of the physics' rate, or a port that nothing serves.
+            LoopError: a rate that is no fraction of the physics' rate, a measurement that nothing serves, or a
+                controller that gives no command.
         """
         self.plant, self.sensors, self.controller, self.wiring = plant, sensors, controller, wiring
         self.estimators = list(estimators)
@@ -87,6 +89,10 @@ class Loop:
                     f"nothing serves {', '.join(missing)} of {block.name}; there is: {', '.join(self._bus)}"
                 )
             self._bus.update({name: value.copy() for name, value in block.output.items()})
+        if COMMAND not in controller.output:
+            raise LoopError(
+                f"{controller.name} gives {', '.join(controller.output)} and cannot fly; valid: what gives {COMMAND}"
+            )
 
     def _every(self, rate: float, who: str) -> int:
         steps = 1.0 / (rate * self.plant.timestep)
@@ -104,6 +110,9 @@ class Loop:
             duration: s.
             head: what the log should tell about the run.
             progress: called now and then with the simulated time.
+
+        Raises:
+            LoopError: a reference that nothing serves.
         """
         dt = self.plant.timestep
         steps = round(duration / dt)
@@ -114,9 +123,9 @@ class Loop:
                 (self.controller, self._control_every),
             ]
         ]
-        recorder = _Recorder(self.plant, self.controller, steps)
+        recorder = _Recorder(self.plant, self.controller, self.wiring.reference, steps)
         self._solve_times: list[float] = []
-        self._statuses: dict[str, int] = {}
+        self._statuses = {block.name: Counter[str]() for block in (*self.estimators, self.controller)}
         pending: deque[tuple[int, Array]] = deque()
         started = clock.perf_counter()
         fault, done = "", 0
@@ -126,18 +135,31 @@ class Loop:
                     self._sense(k, tables)
                 if k % self._control_every == 0:
                     late = self._control(k, tables[-1])
-                    pending.append((k + round(late / dt), self.controller.output["thrust_cmd"].copy()))
+                    pending.append((k + round(late / dt), self.controller.output[COMMAND].copy()))
                 while pending and pending[0][0] <= k:
                     self.plant.command(pending.popleft()[1])
-                recorder.record(k, k * dt)
+                recorder.record(k)
                 self.plant.step()
                 done = k + 1
                 if progress is not None and k % 500 == 0:
                     progress(k * dt)
-        except (LoopError, KeyboardInterrupt) as error:
+        except (AerotactError, KeyboardInterrupt) as error:
             fault = str(error) or "interrupted"
         wall = clock.perf_counter() - started
-        return recorder.log(done, dict(head), fault, wall, np.array(self._solve_times), self._statuses)
+        counts = {name: dict(statuses) for name, statuses in self._statuses.items()}
+        columns, ports = recorder.first(done)
+        return Log(
+            self.plant.timestep,
+            columns,
+            ports,
+            dict(head),
+            fault,
+            wall,
+            np.array(self._solve_times),
+            counts.pop(self.controller.name),
+            counts,
+            self._control_every,
+        )
 
     def _sense(self, k: int, tables: Sequence["_ReferenceTable"]) -> None:
         bus = self._bus
@@ -151,7 +173,7 @@ class Loop:
             table.write(k)
             for name, view in estimator.measurement.items():
                 view[:] = bus[name]
-            estimator.step()
+            self._statuses[estimator.name][estimator.step().name] += 1
             bus.update(estimator.output)
             if self.wiring.truth:
                 truth = self.plant.truth()
@@ -163,19 +185,12 @@ class Loop:
         for name, view in controller.measurement.items():
             view[:] = self._bus[name]
         before = clock.perf_counter()
-        status = controller.step()
+        status: Status = controller.step()
         taken = clock.perf_counter() - before
         self._solve_times.append(taken)
-        self._statuses[status.name] = self._statuses.get(status.name, 0) + 1
-        delay = self.wiring.delay
-        return (
-            float(np.ceil(taken / self.plant.timestep) * self.plant.timestep) if delay == "measured" else float(delay)
-        )
-
-    @staticmethod
-    def usable(status: Status) -> bool:
-        """The step's command is its own, not a stand-in."""
-        return status in (Status.OK, Status.MAX_ITERATIONS, Status.DEADLINE)
+        self._statuses[controller.name][status.name] += 1
+        delay, dt = self.wiring.delay, self.plant.timestep
+        return float(np.ceil(taken / dt) * dt) if delay == "measured" else delay
 
 
 class _ReferenceTable:
@@ -184,7 +199,7 @@ class _ReferenceTable:
     def __init__(self, block: Controller, reference: Reference, every: int, steps: int, dt: float) -> None:
         self._every = every
         nodes = np.array(block.manifest.get("times_s", [0.0]))
-        times = np.arange(0, steps, every) * dt
+        times: Array = np.arange(0, steps, every) * dt
         single = reference.sample(times)
         preview = reference.sample((times[:, None] + nodes).ravel()) if len(nodes) > 1 else single
         self._rows: list[tuple[Array, Array]] = []
@@ -201,45 +216,46 @@ class _ReferenceTable:
             view[:] = table[row]
 
 
-class _Recorder:
-    """Preallocated rows of truth and of the controller's outputs, one a physics step."""
+def _declared(port: Mapping[str, Any], suffix: str = "") -> Port:
+    """A port of a manifest; of a preview the part that is now."""
+    return Port(f"{port['name']}{suffix}", port["size"], port["unit"], port["frame"], kind=port["kind"])
 
-    def __init__(self, plant: Plant, controller: Controller, steps: int) -> None:
+
+class _Recorder:
+    """Preallocated rows, one a physics step: truth, what was wanted then, what the controller got and gave."""
+
+    def __init__(self, plant: Plant, controller: Controller, reference: Reference, steps: int) -> None:
         self._plant, self._controller = plant, controller
         truth = plant.truth()
-        ports = {n: Port(n, len(truth[n]), *_TRUTH[n]) for n in truth}
-        outputs = {
-            p["name"]: Port(p["name"], p["size"], p["unit"], p["frame"]) for p in controller.manifest["ports"]["output"]
-        }
-        measured = {
-            f"{p['name']}_est": Port(f"{p['name']}_est", p["size"], p["unit"], p["frame"], "as the controller got it")
-            for p in controller.manifest["ports"]["measurement"]
-        }
-        wanted = {
-            p["name"]: Port(p["name"], p["size"], p["unit"], p["frame"])
-            for p in controller.manifest["ports"]["reference"]
-        }
-        self._ports = {"time": Port("time", 1, "s"), **ports, **wanted, **outputs, **measured}
-        self._wanted = {name: view[0] if view.ndim > 1 else view for name, view in controller.reference.items()}
-        self._arrays = {n: np.full((steps, p.size), np.nan) for n, p in self._ports.items()}
         self._truth_names = list(truth)
+        ports = controller.manifest["ports"]
+        wanted = [_declared(p) for p in ports["reference"]]
+        columns = [
+            Port("time", 1, "s"),
+            *(Port(n, v.size, *_TRUTH[n], kind="quaternion" if n[0] == "q" else "vector") for n, v in truth.items()),
+            *wanted,
+            *(_declared(p) for p in ports["output"]),
+            *(_declared(p, "_est") for p in ports["measurement"]),
+        ]
+        self._ports = {port.name: port for port in columns}
+        self._arrays = {name: np.full((steps, port.size), np.nan) for name, port in self._ports.items()}
+        times: Array = np.arange(steps) * plant.timestep
+        self._arrays["time"][:, 0] = times
+        # Wanted is what the reference says at the row's time, and not what a slow controller last heard of it.
+        samples = reference.sample(times)
+        for port in wanted:
+            self._arrays[port.name][:] = samples[port.name]
 
-    def record(self, k: int, time: float) -> None:
+    def record(self, k: int) -> None:
         """Row k."""
-        arrays = self._arrays
-        arrays["time"][k] = time
-        truth = self._plant.truth()
+        arrays, truth = self._arrays, self._plant.truth()
         for name in self._truth_names:
             arrays[name][k] = truth[name]
-        for group in (self._wanted, self._controller.output):
-            for name, value in group.items():
-                arrays[name][k] = value
+        for name, value in self._controller.output.items():
+            arrays[name][k] = value
         for name, value in self._controller.measurement.items():
             arrays[f"{name}_est"][k] = value
 
-    def log(
-        self, rows: int, head: dict[str, Any], fault: str, wall: float, solve_times: Array, statuses: dict[str, int]
-    ) -> Log:
-        """The log of the first `rows` rows."""
-        columns = {n: a[:rows] for n, a in self._arrays.items()}
-        return Log(self._plant.timestep, columns, self._ports, head, fault, wall, solve_times, statuses)
+    def first(self, rows: int) -> tuple[dict[str, Array], dict[str, Port]]:
+        """Columns of the first `rows` rows, and their ports."""
+        return {name: array[:rows] for name, array in self._arrays.items()}, self._ports

@@ -56,17 +56,20 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
     Args:
         log: of the run.
         robot: whose limits count.
-        window: rows that are judged for the tool's error; all if None. Limits are judged on all rows.
+        window: rows that are judged for the tool's error and for contact; all if None. Limits are judged on all rows.
     """
-    rows = window or slice(0, len(log.time))
+    rows = slice(0, len(log.time)) if window is None else window
     rate_lower, rate_upper = np.array([r.thrust_rate for r in robot.rotors]).T
     # What was commanded is judged as well: the actual thrust cannot leave the range that the plant clips to.
     lower, upper = np.array([r.thrust for r in robot.rotors]).T
     commanded = violations(log["thrust_cmd"], lower, upper)
     contact = np.linalg.norm(log["f_contact_W"], axis=1) if "f_contact_W" in log else np.zeros(len(log.time))
     touched = bool((contact > 0).any())
-    tool = rmse(log["p_WE"][rows] - log["p_WE_r"][rows]) if "p_WE_r" in log and len(log.time) else None
-    solve = log.solve_times if len(log.solve_times) else np.full(1, np.nan)
+    judged = len(log.time[rows]) > 0
+    # The reference is compared where it is fresh: between the steps of a slow controller the tool has moved on.
+    fresh = log.stepped(rows)
+    tool = rmse(log["p_WE"][fresh] - log["p_WE_r"][fresh]) if "p_WE_r" in log and len(fresh) else None
+    solve = log.solve_times
     total = sum(log.statuses.values())
     usable = sum(log.statuses.get(s, 0) for s in ("OK", "MAX_ITERATIONS", "DEADLINE"))
     values: Mapping[str, float | None] = {
@@ -74,14 +77,14 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
         "force_rmse_band": None,
         "tool_rmse": tool,
         "peak_force": float(contact.max()) if touched else None,
-        "airborne": float((contact[rows] == 0).mean()) if touched else None,
+        "airborne": float((contact[rows] == 0).mean()) if touched and judged else None,
         "violations_thrust": max(commanded, violations(log["thrust"], lower, upper)),
         "violations_thrust_rate": violations(log["thrust_rate"], rate_lower, rate_upper),
         "violations_tilt": 0,
         "violations_tilt_rate": 0,
-        "solve_p50": float(np.percentile(solve, 50)),
-        "solve_p99": float(np.percentile(solve, 99)),
-        "solve_max": float(solve.max()),
+        "solve_p50": float(np.percentile(solve, 50)) if solve.size else None,
+        "solve_p99": float(np.percentile(solve, 99)) if solve.size else None,
+        "solve_max": float(solve.max()) if solve.size else None,
         "stand_ins": total - usable,
         "effort": float((np.clip(log["thrust"], 0, None) ** 1.5).sum() * log.period),
         "real_time_factor": float(len(log.time) * log.period / log.wall) if log.wall > 0 else None,

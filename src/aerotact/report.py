@@ -41,15 +41,18 @@ def write_report(comparison: Comparison, experiment: Experiment, figures: Sequen
         f"<li><code>{text(n)}</code> = {p.value:g} {text(p.unit)}: {text(p.place)}</li>"
         for n, p in experiment.paper.items()
     )
-    faults = "".join(f'<p class="fault">{text(f)}</p>' for f in comparison.faults)
+    faults = "".join(
+        f'<p class="fault">Ended early, not in the means: {text(fault)}</p>' for fault in comparison.faults
+    )
     pictures = "".join(f'<p><img alt="{text(f.stem)}" src="data:image/png;base64,{_encode(f)}"></p>' for f in figures)
     seeds = ", ".join(map(str, comparison.seeds))
+    shown = f"<h2>Figures: seed {comparison.seeds[0]}</h2>{pictures}" if pictures else ""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{text(comparison.experiment)}</title>"
         f"<style>{_STYLE}</style><h1>{text(comparison.experiment)}</h1><p>{text(experiment.doc)}. Mean ± standard "
-        f"deviation over runs; seeds {seeds}. aerotact {__version__}.</p>{faults}<table><thead><tr>{head}</tr></thead>"
-        f"<tbody>{body}</tbody></table><h2>Figures</h2>{pictures}<h2>Controllers</h2><dl>{specs}</dl><h2>Cases</h2>"
+        f"deviation over the seeds {seeds}. aerotact {__version__}.</p>{faults}<table><thead><tr>{head}</tr></thead>"
+        f"<tbody>{body}</tbody></table>{shown}<h2>Controllers</h2><dl>{specs}</dl><h2>Cases</h2>"
         f"<dl>{cases}</dl>{f'<h2>The paper</h2><ul>{places}</ul>' if places else ''}</html>\n",
         encoding="utf-8",
     )

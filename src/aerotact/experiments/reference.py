@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
@@ -47,7 +48,8 @@ class Waypoints:
             offsets: of the position in W, m, shape (n, 3).
             turns: rotation vectors in the tool's axes at the start pose, rad, shape (n, 3), each shorter than pi.
         """
-        at_rest = ([(1, np.zeros(3)), (2, np.zeros(3))],) * 2
+        # The stubs know derivatives of scalar splines only.
+        at_rest: Any = ([(1, np.zeros(3)), (2, np.zeros(3))],) * 2
         self._start, self._stop = times[0], times[-1]
         self._p_WE, self._R_WE = p_WE, Rotation.from_quat(q_WE, scalar_first=True)
         self._position: BSpline = make_interp_spline(times, offsets, k=5, bc_type=at_rest)

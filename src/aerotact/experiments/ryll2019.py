@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.lines import Line2D
-from scipy.signal import StateSpace, lsim
+from scipy.signal import lsim
+from scipy.spatial.transform import Rotation
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
@@ -48,9 +49,10 @@ CONTROLLERS = {
 
 def ideal_response(time: Array, M: float, D: float, K: float) -> tuple[Array, Array]:
     """Displacement, m, and velocity, m/s, of the ideal mass-spring-damper under the pull less the dead zone."""
-    system = StateSpace([[0, 1], [-K / M, -D / M]], [[0], [1 / M]], np.eye(2), np.zeros((2, 1)))
+    A, B = np.array([[0.0, 1.0], [-K / M, -D / M]]), np.array([[0.0], [1.0 / M]])
     on = (time >= PULL_START) & (time < PULL_STOP)
-    _, y, _ = lsim(system, on * (PULL - DEAD_ZONE), time, interp=False)
+    force: Array = on * (PULL - DEAD_ZONE)
+    _, y, _ = lsim((A, B, np.eye(2), np.zeros((2, 1))), force, time, interp=False)
     return y[:, 0], y[:, 1]
 
 
@@ -67,7 +69,7 @@ def _shaping_case(symbol: str, name: str, value: float) -> Case:
 
 @dataclass(frozen=True)
 class PropertyShaping:
-    """A cable pulls the tool and lets go; stiffness, damping and mass of the admittance are varied one by one (Fig. 7)."""
+    """A cable pulls the tool and lets go; stiffness, damping and mass are varied one by one (Fig. 7)."""
 
     name: str = "ryll2019/property-shaping"
     doc: str = "Fig. 7: a cable pulls the tool with 1.37 N and lets go; virtual stiffness, damping and mass varied"
@@ -106,15 +108,14 @@ class PropertyShaping:
 
     def metrics(self, case: Case, log: Log) -> dict[str, Metric]:
         """Steady state, and the distances of reference and tool to the ideal mass-spring-damper."""
-        p = case.parameters
-        time, start = log.time, log["p_WE_r"][log.window(*CALIBRATE), 0].mean()
-        x_ideal, _ = ideal_response(time, float(p["M_EP"]), float(p["D_EP"]), float(p["K_EP"]))
-        x_tool, x_reference = log["p_WE"][:, 0] - start, log["p_WE_r"][:, 0] - start
-        last, judged = log.window(PULL_STOP - 1.0, PULL_STOP), log.window(PULL_START, END)
+        x_ideal, _ = _ideal_of(case, log.time)
+        x_tool, x_reference = _displaced(log.columns, "p_WE"), _displaced(log.columns, "p_WE_r")
+        last, judged = log.window(PULL_STOP - 1.0, PULL_STOP), log.window(*case.judged)
+        fresh = log.stepped(judged)
         return {
             f"steady_{case.name}": Metric(float(x_tool[last].mean()), "m"),
-            f"expected_{case.name}": Metric((PULL - DEAD_ZONE) / float(p["K_EP"]), "m"),
-            f"reference_gap_{case.name}": Metric(float(np.abs(x_reference - x_ideal)[judged].max()), "m"),
+            f"expected_{case.name}": Metric((PULL - DEAD_ZONE) / _scalar(case, "K_EP"), "m"),
+            f"reference_gap_{case.name}": Metric(float(np.abs(x_reference - x_ideal)[fresh].max()), "m"),
             f"ideal_rmse_{case.name}": Metric(rmse((x_tool - x_ideal)[judged]), "m"),
             "ideal_rmse": Metric(rmse((x_tool - x_ideal)[judged]), "m"),
         }
@@ -128,12 +129,16 @@ class PropertyShaping:
         return [*files, _distance_to_ideal(self, runs, labels, folder)]
 
 
-def _ideal_of(experiment: PropertyShaping, case_name: str, time: Array) -> tuple[Array, Array]:
-    p: Mapping[str, Any] = next(c for c in experiment.cases if c.name == case_name).parameters
-    return ideal_response(time, p["M_EP"], p["D_EP"], p["K_EP"])
+def _scalar(case: Case, name: str) -> float:
+    return float(np.mean(case.parameters[name]))
+
+
+def _ideal_of(case: Case, time: Array) -> tuple[Array, Array]:
+    return ideal_response(time, _scalar(case, "M_EP"), _scalar(case, "D_EP"), _scalar(case, "K_EP"))
 
 
 def _displaced(log: Mapping[str, Array], signal: str) -> Array:
+    """x of a signal from where the reference was in the hover before the pull, m."""
     time = log["time"][:, 0]
     before = (time >= CALIBRATE[0]) & (time < CALIBRATE[1])
     return np.asarray(log[signal][:, 0] - log["p_WE_r"][before, 0].mean())
@@ -143,8 +148,9 @@ def _figure_7(
     experiment: PropertyShaping, controller: str, logs: Mapping[str, Mapping[str, Array]], folder: Path
 ) -> Path:
     figure, axes = panels(
-        2, 3, f"{experiment.name}: {controller} (seed 0), panels as in Fig. 7; nominal is K 6 N/m, D 10 N s/m, M 1.5 kg"
+        2, 3, f"{experiment.name}: {controller}, panels as in Fig. 7; nominal is K 6 N/m, D 10 N s/m, M 1.5 kg"
     )
+    known = {case.name: case for case in experiment.cases}
     styles = [Line2D([], [], color="k", ls=s, label=t) for s, t in (("-", "tool"), ("--", "reference"), (":", "ideal"))]
     stiff, damp, mass = ("K4", "K6", "K8"), ("D5", "K6", "D20"), ("M0.75", "K6", "M3")
     for axis, cases, kind in ((axes[0, 0], stiff, "x"), (axes[0, 1], damp, "v"), (axes[0, 2], mass, "v")):
@@ -152,7 +158,7 @@ def _figure_7(
             if case not in logs:
                 continue
             log, time = logs[case], logs[case]["time"][:, 0]
-            ideal = _ideal_of(experiment, case, time)
+            ideal = _ideal_of(known[case], time)
             signals = ("p_WE", "p_WE_r") if kind == "x" else ("v_WE", "v_WE_r")
             tool, reference = ((_displaced(log, s) if kind == "x" else log[s][:, 0]) for s in signals)
             axis.plot(time, tool, color=colour, alpha=0.8)
@@ -170,9 +176,7 @@ def _figure_7(
         axes[1, 0].plot(time, 1e3 * (log["p_WE_r"] - log["p_WE"])[:, 0], color=colour, label=case)
         axes[1, 1].plot(time, log["v_WE"][:, 0], color=colour, label=case)
         axes[1, 2].plot(time, log["f_tool_W_est"][:, 0], color=colour, label=case, alpha=0.8)
-    axes[1, 2].plot(
-        time, np.where((time >= PULL_START) & (time < PULL_STOP), PULL, 0.0), color="k", ls=":", label="true"
-    )
+    axes[1, 2].plot([0, *[PULL_START] * 2, *[PULL_STOP] * 2, END], [0, 0, PULL, PULL, 0, 0], "k:", label="true")
     label(axes[1, 0], "d  reference minus tool", "error in mm")
     label(axes[1, 1], "e  velocity of the tool", "dx/dt in m/s")
     label(axes[1, 2], "f  estimated force on the tool", "force in N")
@@ -189,27 +193,30 @@ def _case_lines(cases: tuple[str, ...], logs: Mapping[str, Any]) -> list[Line2D]
 def _distance_to_ideal(
     experiment: PropertyShaping, runs: Mapping[tuple[str, str], Mapping[str, Array]], labels: list[str], folder: Path
 ) -> Path:
-    cases = [c.name for c in experiment.cases if any((name, c.name) in runs for name in labels)]
-    columns = (len(cases) + 1) // 2
-    figure, axes = panels(2, columns, f"{experiment.name}: tool minus ideal mass-spring-damper (seed 0)", width=3.2)
+    cases = [c for c in experiment.cases if any((name, c.name) in runs for name in labels)]
+    rows = 1 if len(cases) == 1 else 2
+    columns = -(-len(cases) // rows)
+    width = 3.2 if columns > 1 else 6.4
+    figure, axes = panels(rows, columns, f"{experiment.name}: tool minus ideal mass-spring-damper", width=width)
     for spare in axes.flat[len(cases) :]:
         spare.set_axis_off()
     for axis, case in zip(axes.flat, cases, strict=False):
         for colour, name in zip(COLOURS, labels, strict=False):
-            if (name, case) in runs:
-                log = runs[name, case]
+            if (name, case.name) in runs:
+                log = runs[name, case.name]
                 time = log["time"][:, 0]
-                error = _displaced(log, "p_WE") - _ideal_of(experiment, case, time)[0]
+                error = _displaced(log, "p_WE") - _ideal_of(case, time)[0]
                 axis.plot(time, 1e3 * error, color=colour, label=name, alpha=0.85)
-        doc = next(c.doc for c in experiment.cases if c.name == case)
-        label(axis, doc, "error in mm")
+        label(axis, case.doc, "error in mm")
         if axis is not axes[0, 0]:
             axis.sharey(axes[0, 0])
         axis.set_xlim(PULL_START - 1, END)
     return save(figure, folder / "distance_to_ideal.png")
 
 
-# Free flight: a motion in all six axes within the slow flight of the paper (below 0.5 m/s), with tilts up to 10 degrees.
+# Free flight: a motion in all six axes within the slow flight of the paper (below 0.5 m/s), the base tilted by about 10
+# degrees at most.
+END_OF_TOUR = 21.0  # s
 _DEGREE = np.pi / 180
 _WAYPOINTS = np.array([0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]) + 5.0  # s
 _OFFSETS = np.array(
@@ -226,7 +233,7 @@ _OFFSETS = np.array(
 )  # m
 _TURNS = _DEGREE * np.array(
     [[0, 0, 0], [10, 0, 0], [0, 10, 15], [-10, 0, 20], [0, -10, 0], [8, 8, -15], [-5, 5, -10], [0, 0, 0]]
-)  # rad
+)  # rad, about the axes of the base
 
 
 @dataclass(frozen=True)
@@ -239,12 +246,13 @@ class FreeFlight:
     world: str = "floor"
     seeds: int = 5
     controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: CONTROLLERS)
-    cases: tuple[Case, ...] = (Case("tour", "eight waypoints in 14 s", 21.0, (5.0, 21.0)),)
+    cases: tuple[Case, ...] = (Case("tour", "eight waypoints in 14 s", END_OF_TOUR, (5.0, END_OF_TOUR)),)
     paper: Mapping[str, PaperNumber] = field(default_factory=dict)
 
     def reference(self, case: Case, model: Model) -> Reference:
-        """Waypoints of position and attitude around hover."""
-        tour = Waypoints(*model.hover_tool, times=list(_WAYPOINTS), offsets=_OFFSETS, turns=_TURNS)
+        """Waypoints of position and attitude around hover; turns about the base's axes, wherever the tool points."""
+        turns_E = _TURNS @ model.robot.R_BE
+        tour = Waypoints(*model.hover_tool, times=list(_WAYPOINTS), offsets=_OFFSETS, turns=turns_E)
         return WithFlags(tour, {"calibrate": CALIBRATE})
 
     def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
@@ -264,18 +272,21 @@ class FreeFlight:
 
     def plot(self, runs: Mapping[tuple[str, str], Mapping[str, Array]], folder: Path) -> list[Path]:
         """Position, attitude and their errors for each controller."""
-        figure, axes = panels(2, 2, f"{self.name} (seed 0)")
+        figure, axes = panels(2, 2, self.name)
+        styles = dict(zip("xyz", ("-", "--", ":"), strict=True))
+        lines = [Line2D([], [], color="k", ls=style, label=letter) for letter, style in styles.items()]
         for colour, ((controller, _), log) in zip(COLOURS, runs.items(), strict=False):
             time = log["time"][:, 0]
             e_p, e_R = _pose_errors(log, log["p_WE_d"], log["q_WE_d"])
-            for axis, letter in enumerate("xyz"):
-                style = ("-", "--", ":")[axis]
-                axes[0, 0].plot(time, log["p_WE"][:, axis], color=colour, ls=style, label=f"{controller} {letter}")
+            for axis, style in enumerate(styles.values()):
+                axes[0, 0].plot(time, log["p_WE"][:, axis], color=colour, ls=style)
+            lines.append(Line2D([], [], color=colour, label=controller))
             axes[0, 1].plot(time, np.linalg.norm(log["v_WE"], axis=1), color=colour, label=controller)
             axes[1, 0].plot(time, 1e3 * e_p, color=colour, label=controller)
             axes[1, 1].plot(time, e_R / _DEGREE, color=colour, label=controller)
         axes[1, 0].axhline(20, color="k", ls=":", lw=1)
-        label(axes[0, 0], "tool position", "position in m")
+        label(axes[0, 0], "tool position", "position in m", legend=lines)
+        axes[0, 0].set_xlim(right=1.25 * END_OF_TOUR)
         label(axes[0, 1], "tool speed", "speed in m/s")
         label(axes[1, 0], "distance of the tool to the desired position", "error in mm")
         label(axes[1, 1], "angle to the desired attitude", "error in degrees")
@@ -284,8 +295,8 @@ class FreeFlight:
 
 def _pose_errors(log: Mapping[str, Array], p_WE_d: Array, q_WE_d: Array) -> tuple[Array, Array]:
     """Distance, m, and angle, rad, row by row."""
-    dot = np.abs((log["q_WE"] * q_WE_d).sum(axis=1))
-    return np.linalg.norm(log["p_WE"] - p_WE_d, axis=1), 2 * np.arccos(np.clip(dot, 0, 1))
+    turn = Rotation.from_quat(q_WE_d, scalar_first=True).inv() * Rotation.from_quat(log["q_WE"], scalar_first=True)
+    return np.linalg.norm(log["p_WE"] - p_WE_d, axis=1), np.asarray(turn.magnitude())
 
 
 EXPERIMENTS = (PropertyShaping(), FreeFlight())

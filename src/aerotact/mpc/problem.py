@@ -3,7 +3,7 @@
 import tomllib
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -103,13 +103,23 @@ def load_problem(name_or_path: str | Path) -> tuple[Path, ProblemFile]:
     try:
         return path, ProblemFile.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(p) for p in first["loc"])
+        first = max(error.errors(), key=lambda e: len(e["loc"]))  # of alternatives, the one that fits furthest
+        key = ".".join(_key(data, first["loc"], missing=first["type"] == "missing"))
         given = "" if isinstance(first["input"], dict) else f" (got {first['input']!r})"
         remedy = "see docs/ocp.md for the keys and their ranges"
         if first["type"] == "extra_forbidden":
             remedy = f"valid: {', '.join(_keys_beside(first['loc']))}"
         raise ProblemError(path, key, f"{first['msg']}{given}", remedy) from error
+
+
+def _key(data: Any, place: tuple[int | str, ...], *, missing: bool) -> list[str]:
+    """The keys on the way to an error, without the names of alternative types that stand between them."""
+    keys = []
+    for part in place:
+        if (isinstance(data, dict) and part in data) or (isinstance(data, list) and isinstance(part, int)):
+            data = data[part]
+            keys.append(str(part))
+    return [*keys, str(place[-1])] if missing else keys
 
 
 def _keys_beside(place: tuple[int | str, ...]) -> list[str]:

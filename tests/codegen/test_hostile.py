@@ -1,0 +1,111 @@
+"""100,000 hostile steps of everything that is generated, optimised and again under the address and undefined-behaviour
+sanitisers. What must hold in every step stands in hostile.c.jinja."""
+
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pytest
+from native import PLAIN, SANITIZED, run
+
+from aerotact.codegen.functions import number
+from aerotact.codegen.mpc_project import mpc_block, mpc_project
+from aerotact.codegen.project import CProject
+from aerotact.controller import Status
+from aerotact.dynamics.model import Model
+from aerotact.mpc.ocp import WEIGHT, Ocp, load_ocp
+from aerotact.ports import Block, Layout
+
+STEPS = 100_000
+PHASE = 5_000  # hostile steps between two proofs of recovery
+# Shares of the kinds of input, in the order of the C file: plausible, not finite, absurd, tiny, quaternion, jump,
+# parameter, no input, no output, random bits.
+EVEN = (0.1, 0.15, 0.1, 0.1, 0.1, 0.15, 0.1, 0.05, 0.05, 0.1)
+MOSTLY_REFUSED = (0.001, 0.5, 0.3, 0.001, 0.02, 0.001, 0.001, 0.07, 0.001, 0.105)
+
+
+def _fly(
+    folder: Path, block: Block, model: Model, project: CProject, share: tuple[float, ...], flags: tuple[str, ...]
+) -> dict[Status, int]:
+    """How often each status was returned."""
+    harness = _harness(block, model, share, mpc=project.manifest.get("ocp") is not None)
+    statuses, kinds = ([int(n) for n in line.split()] for line in run(folder, project, harness, flags).splitlines())
+    assert sum(statuses) == sum(kinds) >= STEPS
+    assert all(kinds)
+    print(f"{block.name} of {model.robot.name}: {dict(zip(Status, statuses, strict=True))}")
+    return dict(zip(Status, statuses, strict=True))
+
+
+def _harness(block: Block, model: Model, share: tuple[float, ...], *, mpc: bool) -> str:
+    template = jinja2.Environment(
+        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    ).from_string((Path(__file__).parent / "hostile.c.jinja").read_text())
+    rotors = model.rotors if block.limiter is not None else 0
+    lower, upper = model.thrust_limits
+    rate_lower, rate_upper = model.thrust_rate_limits
+    limits = {
+        **{"lower": lower, "upper": upper, "rate_lower": rate_lower, "rate_upper": rate_upper},
+        **{"lag": model.time_constants, "hover": model.robot.hover_thrust},
+    }
+    assert sum(share) == pytest.approx(1.0)
+    at_hover = {"p_WB": model.state.unpack(model.hover_state)["p_WB"]}
+    measurement = block.measurement.with_defaults({k: v for k, v in at_hover.items() if k in block.measurement})
+    return template.render(
+        name=block.name,
+        NAME=block.name.upper(),
+        groups=[_group(layout) for layout in (measurement, block.reference, block.parameters)],
+        rotors=rotors,
+        limits={key: [number(float(v)) for v in values] for key, values in limits.items()},
+        share=[number(s) for s in share],
+        seed=20190815,
+        steps=STEPS,
+        phase=PHASE,
+        state_size=block.state.size,
+        output_size=block.output.size,
+        limited=rotors > 0,
+        limiter_size=block.limiter_state.size,
+        mpc=mpc,
+    )
+
+
+def _group(layout: Layout) -> dict[str, Any]:
+    fields = [
+        (
+            *(layout.slice(p.name).start, p.size, p.nodes, int(p.kind == "quaternion"), int(p.kind == "flag")),
+            *(number(0.0 if p.name.startswith(WEIGHT) else -p.limit), number(p.limit)),
+        )
+        for p in layout
+    ]
+    return {"fields": fields, "size": layout.size, "base": [number(v) for v in layout.default.tolist()]}
+
+
+@pytest.mark.parametrize("flags", [PLAIN, SANITIZED], ids=["optimised", "sanitised"])
+def test_block_keeps_its_promises(
+    tmp_path: Path, block: Block, block_c: CProject, model: Model, flags: tuple[str, ...]
+) -> None:
+    counts = _fly(tmp_path, block, model, block_c, EVEN, flags)
+    assert counts[Status.OK] > STEPS // 10
+    assert counts[Status.BAD_INPUT] > STEPS // 3
+    assert counts[Status.MAX_ITERATIONS] == counts[Status.INFEASIBLE] == counts[Status.DEADLINE] == 0
+
+
+def test_mpc_keeps_its_promises(tmp_path: Path, hexarotor_ocp: Ocp) -> None:
+    project = mpc_project(hexarotor_ocp)
+    counts = _fly(tmp_path, mpc_block(hexarotor_ocp), hexarotor_ocp.model, project, MOSTLY_REFUSED, PLAIN)
+    _check_mpc(counts)
+
+
+def test_mpc_of_a_short_horizon_keeps_its_promises_under_sanitisers(
+    tmp_path: Path, models: dict[str, Model], short_problem: Path
+) -> None:
+    model = models["octorotor"]
+    ocp = load_ocp(short_problem, model)
+    counts = _fly(tmp_path, mpc_block(ocp), model, mpc_project(ocp), MOSTLY_REFUSED, SANITIZED)
+    _check_mpc(counts)
+
+
+def _check_mpc(counts: dict[Status, int]) -> None:
+    assert counts[Status.OK] > STEPS // 100
+    assert counts[Status.BAD_INPUT] > STEPS // 2
+    assert counts[Status.NUMERICAL] > 0
+    assert counts[Status.DEADLINE] == 0

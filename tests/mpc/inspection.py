@@ -1,0 +1,65 @@
+"""A compiled MPC whose private workspace can be read: trajectory, plan, stage parameters, quadratic programme."""
+
+from typing import Any
+
+import cffi
+import numpy as np
+
+from aerotact.codegen.mpc_project import mpc_project
+from aerotact.codegen.project import CProject
+from aerotact.controller import Controller
+from aerotact.mpc.ocp import Ocp
+from aerotact.ports import Array
+
+
+class Inspected(Controller):
+    """A controller with views of its workspace."""
+
+    def __init__(self, ocp: Ocp) -> None:
+        project = mpc_project(ocp)
+        name, N = project.name, ocp.steps
+        nx, ndx, nu = ocp.model.state.size, ocp.model.tangent_size, ocp.model.control.size
+        bounded = len(ocp.bounds.states)
+        shapes = {
+            **{"x": (N + 1, nx), "u": (N, nu), "plan_x": (N + 1, nx), "plan_u": (N, nu)},
+            **{"stage": (N + 1, ocp.targets.stage.size), "limiter": (nu,), "state": (ocp.targets.block.state.size,)},
+            **{"fallback_state": (ocp.fallback.state.size,)},
+            **{"qp_data.A": (N, ndx, ndx), "qp_data.B": (N, ndx, nu), "qp_data.b": (N, ndx)},
+            **{"qp_data.Q": (N + 1, ndx, ndx), "qp_data.S": (N, nu, ndx), "qp_data.R": (N, nu, nu)},
+            **{"qp_data.q": (N + 1, ndx), "qp_data.r": (N, nu), "qp_data.lbu": (N, nu), "qp_data.ubu": (N, nu)},
+            **{"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)},
+            **{"qp_solution.x": (N + 1, ndx), "qp_solution.u": (N, nu)},
+        }
+        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{field};" for i, field in enumerate(shapes))
+        source = (
+            f'#include "{name}.h"\n'
+            f"double *{name}_field(void *workspace, int field);\n"
+            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations);\n"
+            f"double *{name}_field(void *workspace, int field)\n{{\n    {name}_workspace *w = workspace;\n"
+            f"    switch (field) {{\n{cases}\n    }}\n    return NULL;\n}}\n"
+            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations)\n{{\n"
+            f"    {name}_workspace *w = workspace;\n    w->settings.max_failures = max_failures;\n"
+            f"    w->settings.startup_iterations = startup_iterations;\n    w->settings.iterations = iterations;\n}}\n"
+        )
+        extra = f"src/{name}_inspection.c"
+        super().__init__(CProject(name, {**project.files, extra: source}, (*project.sources, extra)))
+        ffi = cffi.FFI()
+        ffi.cdef(f"double *{name}_field(void *, int); void {name}_configure(void *, int, int, int);")
+        library: Any = ffi.dlopen(str(self.library))
+        workspace = ffi.cast("void *", self._workspace.ctypes.data)
+        self._configure = lambda *settings: getattr(library, f"{name}_configure")(workspace, *settings)
+        self.fields: dict[str, Array] = {}
+        for i, (field, shape) in enumerate(shapes.items()):
+            address = getattr(library, f"{name}_field")(workspace, i)
+            memory = ffi.buffer(address, 8 * int(np.prod(shape)))
+            self.fields[field.removeprefix("qp_data.")] = np.frombuffer(memory).reshape(shape)
+
+    def configure(self, *, max_failures: int = 5, startup_iterations: int = 5, iterations: int = 1) -> None:
+        """Change the settings of the workspace."""
+        self._configure(max_failures, startup_iterations, iterations)
+
+    def hover(self, ocp: Ocp) -> None:
+        """Measurements of the robot at rest in its hover keyframe."""
+        for name, value in ocp.model.state.unpack(ocp.model.hover_state).items():
+            if name in self.measurement:
+                self.measurement[name][:] = value
