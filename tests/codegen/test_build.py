@@ -35,7 +35,9 @@ def test_no_compiler_in_path(empty_cache: Path, monkeypatch: pytest.MonkeyPatch,
 
 
 @pytest.mark.parametrize("nonsense", ["no-such-compiler", "'", " "])
-def test_cc_that_is_no_compiler(empty_cache: Path, monkeypatch: pytest.MonkeyPatch, law_c: CProject, nonsense: str) -> None:
+def test_cc_that_is_no_compiler(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, law_c: CProject, nonsense: str
+) -> None:
     monkeypatch.setenv("CC", nonsense)
     with pytest.raises(CompilerNotFound, match="no C compiler found"):
         Controller(law_c)

@@ -76,16 +76,9 @@ def test_mpc_equals_casadi(ocp: Ocp, mpc_c: CProject, native: Callable[[CProject
     def weights() -> Array:
         return _positive(targets.parameters, rng)
 
-    def interval() -> Array:
-        return rng.uniform(0.005, 0.15, 1)
-
     limiter = mpc_block(ocp).limiter
     tested: dict[str, tuple[Any, Callable[[], list[Array]]]] = {
         "prepare": (targets.step, block_inputs(targets)),
-        "linearise": (
-            ocp.linearise,
-            lambda: [state(), control(), state(), stage(), weights(), interval(), interval() * np.ones(model.rotors)],
-        ),
         "linearise_terminal": (ocp.linearise_terminal, lambda: [state(), stage(), weights()]),
         "retract": (ocp.retract, lambda: [state(), rng.normal(size=model.tangent_size)]),
         "command": (ocp.command, lambda: [state(), control()]),
@@ -93,6 +86,7 @@ def test_mpc_equals_casadi(ocp: Ocp, mpc_c: CProject, native: Callable[[CProject
         "fallback": (fallback.step, block_inputs(fallback)),
     }
     library = native(mpc_c)
-    assert library.declared == [f"{ocp.name}_{part}" for part in tested]
+    # The linearisation takes all stages at once: test_lanes.py.
+    assert library.declared == [f"{ocp.name}_{part}" for part in (*tested, "linearise")]
     for part, (function, inputs) in tested.items():
         _compare(library, f"{ocp.name}_{part}", function, inputs)

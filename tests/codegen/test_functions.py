@@ -22,7 +22,9 @@ CONSTANTS = [
     *(1.7976931348623157e308, -1e300, 2.2250738585072014e-308, 5e-324, -5e-324, 123456789.0),
 ]
 UNARY: dict[str, tuple[Any, tuple[float, float]]] = {
-    **{n: (getattr(ca, n), ANY) for n in ("exp", "sin", "cos", "tan", "atan", "sinh", "cosh", "tanh", "asinh", "floor")},
+    **{
+        n: (getattr(ca, n), ANY) for n in ("exp", "sin", "cos", "tan", "atan", "sinh", "cosh", "tanh", "asinh", "floor")
+    },
     **{n: (getattr(ca, n), ANY) for n in ("ceil", "fabs", "expm1", "erf", "sign")},
     **{n: (getattr(ca, n), POSITIVE) for n in ("log", "sqrt", "log1p")},
     **{n: (getattr(ca, n), UNIT) for n in ("asin", "acos", "atanh")},

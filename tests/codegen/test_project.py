@@ -38,7 +38,9 @@ for project in projects:
 def _hashes(model: Model, ocp: Ocp) -> list[str]:
     projects = [block_project(laws()["ryll2019_admittance"](model, 500.0), model), mpc_project(ocp)]
     return [
-        f"{p.name} {path} {hashlib.sha256(text.encode()).hexdigest()}" for p in projects for path, text in p.files.items()
+        f"{p.name} {path} {hashlib.sha256(text.encode()).hexdigest()}"
+        for p in projects
+        for path, text in p.files.items()
     ]
 
 
@@ -117,7 +119,9 @@ def test_write_replaces_an_older_project_and_its_leftovers(tmp_path: Path, block
 
 
 @pytest.mark.parametrize(
-    "manifest", [None, "{}", '{"versions": {"web": "1"}}', "[]", "no json"], ids=["none", "empty", "other", "list", "text"]
+    "manifest",
+    [None, "{}", '{"versions": {"web": "1"}}', "[]", "no json"],
+    ids=["none", "empty", "other", "list", "text"],
 )
 def test_write_refuses_a_folder_with_something_else(tmp_path: Path, block_c: CProject, manifest: str | None) -> None:
     (tmp_path / "src").mkdir()

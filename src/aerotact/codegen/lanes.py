@@ -1,17 +1,19 @@
 """CasADi SX functions as C99 for all stages at once: one lane a stage.
 
-The same straight-line body is compiled for vectors of 2, 4 or 8 doubles where the compiler has them (NEON or SSE2, AVX2,
-AVX-512) and for single doubles elsewhere; operations and their order are the same, so that results agree to round-off.
-Entries of the results that are the same constant in every stage are not computed: `pattern` tells which they are, and
-the caller writes them once.
+The same straight-line body is compiled for vectors of 2, 4 or 8 doubles where the compiler has them (NEON or SSE2,
+AVX, AVX-512) and for single doubles elsewhere; operations and their order are the same, so that results agree to
+round-off.
+Entries of the results that are the same constant in every stage are not computed: `constants` tells which they are,
+and the caller writes them once.
 """
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
-from aerotact.codegen.functions import BINARY, UNARY, number
+from aerotact.codegen.functions import UNARY, number
 from aerotact.exceptions import CodegenError
 
 # Operations that vectors have as C operators; all others go through a function of lanes.h.
@@ -36,22 +38,16 @@ _SELECTIONS = {
     ca.OP_FMIN: "lane_min({}, {})",
     ca.OP_FMAX: "lane_max({}, {})",
     ca.OP_FABS: "lane_abs({})",
-    ca.OP_SQRT: "lane_sqrt({})",
     ca.OP_INV: "lane_set(1.0) / {}",
 }
 
 
-@dataclass(frozen=True)
-class Input:
-    """An argument: `stride` doubles from one stage to the next, 0 if all stages share it."""
-
-    name: str
-    stride: int
+_MATH = {text.removesuffix("({})") for text in UNARY.values() if text.endswith("({})") and text[0].isalpha()}
 
 
 @dataclass(frozen=True)
-class Output:
-    """A result: `stride` doubles from one stage to the next."""
+class Strided:
+    """An argument or a result: `stride` doubles from one stage to the next, 0 if all stages share it."""
 
     name: str
     stride: int
@@ -66,14 +62,16 @@ class StageFunction:
             differ between stages or data.
         signature: its head, without a semicolon.
         constants: result -> {entry: value} of the entries that never change.
+        math: functions of math.h that it applies to each lane.
     """
 
     source: str
     signature: str
     constants: dict[str, dict[int, float]]
+    math: tuple[str, ...]
 
 
-def emit_stages(function: Any, name: str, inputs: list[Input], outputs: list[Output]) -> StageFunction:
+def emit_stages(function: Any, name: str, inputs: list[Strided], outputs: list[Strided]) -> StageFunction:
     """C of a dense SX function, called for stages 0, 1, ... in groups of LANES.
 
     Raises:
@@ -135,7 +133,8 @@ def emit_stages(function: Any, name: str, inputs: list[Input], outputs: list[Out
             "",
         ]
     )
-    return StageFunction(source, head, constants)
+    math = sorted(set(re.findall(r"lane_(\w+)\(", source)) & _MATH)
+    return StageFunction(source, head, constants, tuple(math))
 
 
 def _value(name: str, op: int, arguments: list[str]) -> str:
@@ -146,6 +145,4 @@ def _value(name: str, op: int, arguments: list[str]) -> str:
         return _SELECTIONS[op].format(*arguments)
     if op in UNARY and UNARY[op].endswith("({})"):
         return f"lane_{UNARY[op].format(arguments[0])}"
-    if op in BINARY and BINARY[op].endswith("({}, {})"):
-        return f"lane_{BINARY[op].format(*arguments)}"
     raise CodegenError(f"{name}: CasADi operation {op} has no C form for lanes")

@@ -10,7 +10,8 @@ import numpy as np
 from aerotact.codegen.backends import QpDimensions, find_backend
 from aerotact.codegen.example import make_example
 from aerotact.codegen.functions import number
-from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest
+from aerotact.codegen.lanes import StageFunction, Strided, emit_stages
+from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest, templates
 from aerotact.mpc.ocp import WEIGHT, Ocp, limiter_of
 from aerotact.ports import Array, Block, Layout, Port
 
@@ -48,12 +49,6 @@ def mpc_project(ocp: Ocp) -> CProject:
             port["lower"] = number(0.0)
     functions = [
         (ocp.targets.block.step, f"{name}_prepare", ["z", "y", "r", "p"], ["z_next", "out"]),
-        (
-            ocp.linearise,
-            f"{name}_linearise",
-            ["x", "u", "x_next", "stage", "p", "h", "gain"],
-            ["A", "B", "b", "Q", "S", "R", "q", "r"],
-        ),
         (ocp.linearise_terminal, f"{name}_linearise_terminal", ["x", "stage", "p"], ["Q", "q"]),
         (ocp.retract, f"{name}_retract", ["x", "dx"], ["moved"]),
         (ocp.command, f"{name}_command", ["x", "u"], ["command"]),
@@ -64,14 +59,37 @@ def mpc_project(ocp: Ocp) -> CProject:
     dimensions = QpDimensions(
         model.tangent_size, model.control.size, ocp.steps, tuple(i - 1 for i in ocp.bounds.states)
     )
+    stages = _stages(ocp)
+    context["mpc"]["fixed"] = [
+        (result, [(entry, number(value)) for entry, value in sorted(entries.items()) if value != 0.0])
+        for result, entries in stages.constants.items()
+    ]
     example = make_example(name, model, ocp.rate, block.measurement, block.reference, block.output, limited=True)
     inputs = hashlib.sha256(ocp.path.read_bytes()).hexdigest()
     extra = {
         "times_s": [float(t) for t in ocp.times],
         "ocp": {"file": ocp.path.name, "sha256": inputs, "backend": ocp.file.solver.backend, "steps": ocp.steps},
     }
-    return assemble(
-        context, functions, example, "mpc.c.jinja", manifest(block, model.robot, extra), backend(name, dimensions)
+    lanes = templates().get_template("lanes.h.jinja").render(NAME=name.upper(), lane_functions=stages.math)
+    sources = {
+        f"src/{name}_lanes.h": lanes,
+        f"src/{name}_stages.c": templates().get_template("stages.c.jinja").render(name=name, source=stages.source),
+        **backend(name, dimensions),
+    }
+    text = manifest(block, model.robot, extra)
+    return assemble(context, functions, example, "mpc.c.jinja", text, sources, [stages.signature])
+
+
+def _stages(ocp: Ocp) -> StageFunction:
+    """The linearisation of all stages at once."""
+    nx, ndx, nu = ocp.model.state.size, ocp.model.tangent_size, ocp.model.control.size
+    inputs = [("x", nx), ("u", nu), ("x_next", nx), ("stage", ocp.targets.stage.size), ("p", 0), ("h", 1), ("gain", nu)]
+    sizes = {"A": ndx * ndx, "B": ndx * nu, "b": ndx, "Q": ndx * ndx, "S": nu * ndx, "R": nu * nu, "q": ndx, "r": nu}
+    return emit_stages(
+        ocp.linearise,
+        f"{ocp.name}_linearise",
+        [Strided(name, stride) for name, stride in inputs],
+        [Strided(name, stride) for name, stride in sizes.items()],
     )
 
 

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -188,13 +188,14 @@ def assemble(
     main: str,
     manifest_text: str,
     extra_sources: Mapping[str, str],
+    extra_signatures: Sequence[str] = (),
 ) -> CProject:
     """Render the files that every project has around its own `src/<name>.c`, made from template `main`."""
     environment = templates()
     name = str(context["name"])
     sources = (f"src/{name}.c", f"src/{name}_functions.c", *[p for p in extra_sources if p.endswith(".c")])
     full = {**context, "plant": example.context, "sources": sources}
-    full["signatures"] = [signature(n, a, r) for _, n, a, r in functions]
+    full["signatures"] = [*(signature(n, a, r) for _, n, a, r in functions), *extra_signatures]
 
     def render(template: str) -> str:
         return environment.get_template(template).render(full)
