@@ -1,4 +1,4 @@
-"""The compiled C of every law, estimator and problem equals CasADi's evaluation of the functions that it was written from."""
+"""The compiled C of every law, estimator and problem equals CasADi's evaluation of what it was written from."""
 
 from collections.abc import Callable
 from typing import Any

@@ -34,17 +34,23 @@ class Inspected(Controller):
         source = (
             f'#include "{name}.h"\n'
             f"double *{name}_field(void *workspace, int field);\n"
-            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations);\n"
+            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations,\n"
+            f"    double deadline);\n"
             f"double *{name}_field(void *workspace, int field)\n{{\n    {name}_workspace *w = workspace;\n"
             f"    switch (field) {{\n{cases}\n    }}\n    return NULL;\n}}\n"
-            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations)\n{{\n"
+            "static double now;\n\nstatic double clock_of_calls(void *context)\n{\n"
+            "    *(double *)context += 1.0;\n    return *(double *)context;\n}\n"
+            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations,\n"
+            f"    double deadline)\n{{\n"
             f"    {name}_workspace *w = workspace;\n    w->settings.max_failures = max_failures;\n"
-            f"    w->settings.startup_iterations = startup_iterations;\n    w->settings.iterations = iterations;\n}}\n"
+            f"    w->settings.startup_iterations = startup_iterations;\n    w->settings.iterations = iterations;\n"
+            f"    w->settings.clock = deadline > 0.0 ? clock_of_calls : NULL;\n    w->settings.clock_context = &now;\n"
+            f"    w->settings.deadline = deadline;\n}}\n"
         )
         extra = f"src/{name}_inspection.c"
         super().__init__(CProject(name, {**project.files, extra: source}, (*project.sources, extra)))
         ffi = cffi.FFI()
-        ffi.cdef(f"double *{name}_field(void *, int); void {name}_configure(void *, int, int, int);")
+        ffi.cdef(f"double *{name}_field(void *, int); void {name}_configure(void *, int, int, int, double);")
         library: Any = ffi.dlopen(str(self.library))
         workspace = ffi.cast("void *", self._workspace.ctypes.data)
         self._configure = lambda *settings: getattr(library, f"{name}_configure")(workspace, *settings)
@@ -54,9 +60,11 @@ class Inspected(Controller):
             memory = ffi.buffer(address, 8 * int(np.prod(shape)))
             self.fields[field.removeprefix("qp_data.")] = np.frombuffer(memory).reshape(shape)
 
-    def configure(self, *, max_failures: int = 5, startup_iterations: int = 5, iterations: int = 1) -> None:
-        """Change the settings of the workspace."""
-        self._configure(max_failures, startup_iterations, iterations)
+    def configure(
+        self, *, max_failures: int = 5, startup_iterations: int = 5, iterations: int = 1, deadline: float = 0.0
+    ) -> None:
+        """Change the settings of the workspace; with a `deadline`, a clock that advances by one with every call."""
+        self._configure(max_failures, startup_iterations, iterations, deadline)
 
     def hover(self, ocp: Ocp) -> None:
         """Measurements of the robot at rest in its hover keyframe."""
