@@ -73,7 +73,9 @@ def test_ideal_response_solves_the_mass_spring_damper(name: str) -> None:
 
 
 def test_ideal_response_does_not_depend_on_the_samples() -> None:
-    for fine, coarse in zip(ideal_response(TIME, 1.5, 5.0, 6.0), ideal_response(TIME[::10], 1.5, 5.0, 6.0), strict=True):
+    for fine, coarse in zip(
+        ideal_response(TIME, 1.5, 5.0, 6.0), ideal_response(TIME[::10], 1.5, 5.0, 6.0), strict=True
+    ):
         np.testing.assert_allclose(fine[::10], coarse, atol=1e-10)
 
 

@@ -101,9 +101,7 @@ def test_converged_iteration_equals_ipopt(ocp: Ocp, mpc: Inspected, name: str) -
 def _cost(ocp: Ocp, mpc: Inspected) -> float:
     x, u, stage = (mpc.fields[n] for n in ("plan_x", "plan_u", "stage"))
     parameters = ocp.targets.block.parameters.default
-    running = sum(
-        float(ocp.cost(x[k], u[k], stage[k], parameters, h)) for k, h in enumerate(np.diff(ocp.times))
-    )
+    running = sum(float(ocp.cost(x[k], u[k], stage[k], parameters, h)) for k, h in enumerate(np.diff(ocp.times)))
     return running + float(ocp.terminal_cost(x[-1], stage[-1], parameters))
 
 
