@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
-import jinja2
 import mujoco
 
 from aerotact import __version__
 from aerotact.codegen.example import SECONDS, Example, make_example
 from aerotact.codegen.functions import emit, number, signature
+from aerotact.codegen.templating import templates
 from aerotact.dynamics.model import Model
 from aerotact.exceptions import CodegenError
 from aerotact.ports import Block, Layout, Port
@@ -94,17 +94,6 @@ def _is_generated(folder: Path) -> bool:
 def comment(text: str) -> str:
     """Text that can stand inside a C comment: one line, without its end mark."""
     return " ".join(text.replace("*/", "* /").split())
-
-
-def templates() -> jinja2.Environment:
-    """The C templates; an undefined name is an error."""
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("aerotact.codegen"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
 
 
 def _port_context(port: Port, start: int) -> dict[str, Any]:

@@ -171,6 +171,10 @@ class Model:
         n = self.state.size
         return ca.vertcat(x_to[0:3] - x_from[0:3], so3.local(x_from[3:7], x_to[3:7]), x_to[7:n] - x_from[7:n])
 
+    def at_rest(self, x: Any) -> Any:
+        """x with zero velocities."""
+        return ca.vertcat(x[0:7], ca.SX.zeros(6), x[13:])
+
     # tool
 
     def tool_pose(self, x: Any) -> tuple[Any, Any]:

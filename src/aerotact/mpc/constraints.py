@@ -16,7 +16,8 @@ class Bounds:
         states: indices into x of the bounded states, all of them plain coordinates (none of the attitude).
         x_lower, x_upper: their bounds, shape (len(states),).
         u_lower, u_upper: bounds of the controls, shape (nu,), infinite where there is none.
-        command: the thrust command of the first interval is bounded too.
+        lag: s, shape (nu,), if the command of the first interval, state + lag * control, is bounded too; the bounded
+            states are then those that the controls integrate, in their order.
     """
 
     states: tuple[int, ...]
@@ -24,7 +25,7 @@ class Bounds:
     x_upper: Array
     u_lower: Array
     u_upper: Array
-    command: bool
+    lag: Array | None = None
 
 
 CONSTRAINTS = {
@@ -41,6 +42,5 @@ def make_bounds(model: Model, names: list[str]) -> Bounds:
     thrust, rate = "thrust" in names, "thrust_rate" in names
     lower, upper = model.thrust_limits if thrust else (np.zeros(0), np.zeros(0))
     u_lower, u_upper = model.thrust_rate_limits if rate else (-unbounded, unbounded)
-    return Bounds(
-        tuple(range(where.start, where.stop)) if thrust else (), lower, upper, u_lower, u_upper, command=thrust
-    )
+    states = tuple(range(where.start, where.stop)) if thrust else ()
+    return Bounds(states, lower, upper, u_lower, u_upper, model.time_constants if thrust else None)

@@ -1,13 +1,6 @@
-"""Ocp: a problem file transcribed for one model, as the CasADi functions that a real-time iteration needs.
+"""Ocp: an ocp file and a model, transcribed, with what surrounds the solve: targets and the fallback law."""
 
-    min  sum_k h_k sum_i w_i r_i(x_k, u_k, p_k)^2 / 2  +  terminal
-    s.t. x_0 measured,  x_(k+1) = Phi_k(x_k, u_k, p_k),  bounds on x_k and u_k
-
-by multiple shooting, one Runge-Kutta step of order four an interval, linearised on the manifold: the quadratic
-programme is in the changes dx_k (three coordinates for the attitude) and du_k. The Hessian is Gauss-Newton's.
-"""
-
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,61 +11,43 @@ from aerotact.dynamics.actuators import held_command_gain, thrust_limiter
 from aerotact.dynamics.model import Model
 from aerotact.exceptions import InputError, ProblemError, UnknownName
 from aerotact.laws import laws
-from aerotact.mpc.constraints import CONSTRAINTS, Bounds, make_bounds
+from aerotact.mpc.constraints import CONSTRAINTS, make_bounds
 from aerotact.mpc.problem import ProblemFile, ResidualEntry, load_problem
 from aerotact.mpc.residuals import RESIDUALS, Residual
 from aerotact.mpc.targets import Targets, make_targets
-from aerotact.ports import Array, Block, Layout, Port
+from aerotact.mpc.transcription import Statement, Transcription, held_gains, transcribe
+from aerotact.ports import Block, Layout, Port
 
 WEIGHT = "weight_"  # names of the parameters that weigh residuals begin so; none may be negative
 
 
 @dataclass(frozen=True)
-class Ocp:
+class Ocp(Transcription):
     """An optimal control problem of one model.
 
     Attributes:
-        name: the file's stem.
         path: the ocp file.
-        times: nodes, s, shape (N + 1,).
+        file: its content.
+        model: of the robot.
         targets: what is computed before a solve.
         fallback: the law that takes over when solves keep failing.
-        bounds: of states and controls.
-        gains: change of thrust per unit of the control in each interval, s, shape (N, nu): the first command is held,
-            the later controls are rates of the actual thrust.
-        linearise: (x, u, x_next, stage, parameters, h, gain) -> (A, B, b, Q, S, R, q, r), row by row, in changes.
-        linearise_terminal: (x, stage, parameters) -> (Q, q).
-        step: (x, u, stage, h, gain) -> Phi.
-        cost: (x, u, stage, parameters, h) -> cost of one stage; terminal_cost: (x, stage, parameters).
-        retract: (x, dx) -> x; command: (x, u) -> thrust command.
     """
 
-    name: str
     path: Path
     file: ProblemFile
     model: Model
-    times: Array
     targets: Targets
     fallback: Block
-    bounds: Bounds
-    gains: Array
-    linearise: Any
-    linearise_terminal: Any
-    step: Any
-    cost: Any
-    terminal_cost: Any
-    retract: Any
-    command: Any
+
+    @property
+    def name(self) -> str:
+        """The file's stem."""
+        return self.statement.name
 
     @property
     def rate(self) -> float:
         """Hz at which the controller runs."""
         return self.file.problem.rate
-
-    @property
-    def steps(self) -> int:
-        """Intervals N."""
-        return len(self.times) - 1
 
     @property
     def parameters(self) -> Layout:
@@ -146,10 +121,16 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
     targets = Targets(block, targets.stage, targets.telemetry)
     fallback = laws()[file.problem.fallback](model, file.problem.rate)
     _check_fallback(path, fallback, targets.block)
-    return _transcribe(path, file, model, np.array(times), targets, fallback, residuals)
+    transcription = transcribe(_state(path, file, model, targets, residuals))
+    own = {f.name: getattr(transcription, f.name) for f in fields(Transcription)}
+    return Ocp(**own, path=path, file=file, model=model, targets=targets, fallback=fallback)
 
 
 def _check_fallback(path: Path, fallback: Block, block: Block) -> None:
+    if fallback.limiter is None:
+        raise ProblemError(
+            path, "problem.fallback", f"'{fallback.name}' commands no thrust", "choose a law whose output is thrust_cmd"
+        )
     for group in ("measurement", "reference"):
         missing = [p.name for p in getattr(fallback, group) if p.name not in getattr(block, group)]
         if missing:
@@ -161,97 +142,57 @@ def _check_fallback(path: Path, fallback: Block, block: Block) -> None:
             )
 
 
-def _transcribe(
-    path: Path,
-    file: ProblemFile,
-    model: Model,
-    times: Array,
-    targets: Targets,
-    fallback: Block,
-    residuals: list[Residual],
-) -> Ocp:
-    nx, ndx, nu = model.state.size, model.tangent_size, model.control.size
-    x, u, x_next = ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("x_next", nx)
-    dx, du = ca.SX.sym("dx", ndx), ca.SX.sym("du", nu)
-    stage, parameters = ca.SX.sym("stage", targets.stage.size), ca.SX.sym("p", targets.block.parameters.size)
-    h, gain = ca.SX.sym("h"), ca.SX.sym("gain", nu)
+def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residuals: list[Residual]) -> Statement:
+    """The problem in symbols."""
+    times = np.array(file.problem.nodes)
+
+    def derivative(x: Any, rate: Any, stage: Any) -> Any:
+        parts = targets.stage.split(stage)
+        return model.derivative(x, rate, ca.vertcat(parts["f_ext_W"], parts["tau_ext_B"]))
+
+    def terms(x: Any, u: Any, stage: Any, parameters: Any) -> tuple[Any, Any]:
+        return _terms(model, targets, residuals, x, u, stage, parameters)
+
+    def terminal_terms(x: Any, stage: Any, parameters: Any) -> tuple[Any, Any]:
+        lasting = [r for r in residuals if not r.controls]
+        values, weights = _terms(model, targets, lasting, x, ca.SX.zeros(model.control.size), stage, parameters)
+        return values, file.problem.terminal * weights
+
+    return Statement(
+        name=path.stem,
+        nx=model.state.size,
+        ndx=model.tangent_size,
+        nu=model.control.size,
+        stage_size=targets.stage.size,
+        parameter_size=targets.block.parameters.size,
+        times=times,
+        gains=held_gains(times, held_command_gain(model, float(times[1])).full().ravel()),
+        derivative=derivative,
+        retract=model.retract,
+        local=model.local,
+        rest=model.at_rest,
+        terms=terms,
+        terminal_terms=terminal_terms,
+        command=model.command,
+        bounds=make_bounds(model, list(file.constraints)),
+        damping=file.solver.levenberg_marquardt,
+    )
+
+
+def _terms(
+    model: Model, targets: Targets, residuals: list[Residual], x: Any, u: Any, stage: Any, parameters: Any
+) -> tuple[Any, Any]:
+    """Residuals and weights, one below the other."""
     stage_parts = targets.stage.split(stage)
     weights = targets.block.parameters.split(parameters)
-    disturbance = ca.vertcat(stage_parts["f_ext_W"], stage_parts["tau_ext_B"])
-
-    def phi(state: Any, control: Any) -> Any:
-        rate = control * gain / h
-        k1 = model.derivative(state, rate, disturbance)
-        k2 = model.derivative(state + h / 2 * k1, rate, disturbance)
-        k3 = model.derivative(state + h / 2 * k2, rate, disturbance)
-        k4 = model.derivative(state + h * k3, rate, disturbance)
-        return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-    def terms(state: Any, control: Any, terminal: bool) -> tuple[Any, Any]:
-        values, scales = [], []
-        for residual in residuals:
-            if terminal and residual.controls:
-                continue
-            built = residual.build(model, state, control, stage_parts)
-            for term, value in zip(residual.terms, built, strict=True):
-                label = residual.name if residual.name == term.key else f"{residual.name}_{term.key}"
-                values.append(value)
-                scales.append(weights[f"{WEIGHT}{label}"])
-        return ca.vertcat(*values), ca.vertcat(*scales)
-
-    def at_zero(expression: Any) -> Any:
-        return ca.substitute(expression, ca.vertcat(dx, du), ca.DM.zeros(ndx + nu))
-
-    damping = file.solver.levenberg_marquardt
-    moved, changed = model.retract(x, dx), u + du
-    gap = model.local(x_next, phi(moved, changed))
-    A, B, b = at_zero(ca.jacobian(gap, dx)), at_zero(ca.jacobian(gap, du)), at_zero(gap)
-    r, w = terms(moved, changed, terminal=False)
-    J = at_zero(ca.jacobian(r, ca.vertcat(dx, du)))
-    weighted = h * ca.mtimes(J.T, ca.diag(w))
-    H = ca.mtimes(weighted, J) + damping * h * ca.SX.eye(ndx + nu)
-    g = ca.mtimes(weighted, at_zero(r))
-    outputs = [A, B, b, H[:ndx, :ndx], H[ndx:, :ndx], H[ndx:, ndx:], g[:ndx], g[ndx:]]
-    names = ["A", "B", "b", "Q", "S", "R", "q", "r"]
-    linearise = _function("linearise", [x, u, x_next, stage, parameters, h, gain], outputs, names)
-    r_end, w_end = terms(moved, ca.SX.zeros(nu), terminal=True)
-    J_end = at_zero(ca.jacobian(r_end, dx))
-    weighted_end = file.problem.terminal * ca.mtimes(J_end.T, ca.diag(w_end))
-    Q_end = ca.mtimes(weighted_end, J_end) + damping * ca.SX.eye(ndx)
-    linearise_terminal = _function(
-        "linearise_terminal", [x, stage, parameters], [Q_end, ca.mtimes(weighted_end, at_zero(r_end))], ["Q", "q"]
-    )
-    r_now, _ = terms(x, u, terminal=False)
-    r_last, _ = terms(x, ca.SX.zeros(nu), terminal=True)
-    cost = h * ca.dot(w, r_now**2) / 2
-    cost_end = file.problem.terminal * ca.dot(w_end, r_last**2) / 2
-    intervals = np.diff(times)
-    gains = np.tile(intervals[:, None], (1, nu))
-    gains[0] = held_command_gain(model, float(intervals[0])).full().ravel()
-    return Ocp(
-        name=path.stem,
-        path=path,
-        file=file,
-        model=model,
-        times=times,
-        targets=targets,
-        fallback=fallback,
-        bounds=make_bounds(model, list(file.constraints)),
-        gains=gains,
-        linearise=linearise,
-        linearise_terminal=linearise_terminal,
-        step=ca.Function("step", [x, u, stage, h, gain], [phi(x, u)]),
-        cost=ca.Function("cost", [x, u, stage, parameters, h], [cost]),
-        terminal_cost=ca.Function("terminal_cost", [x, stage, parameters], [cost_end]),
-        retract=ca.Function("retract", [x, dx], [model.retract(x, dx)]),
-        command=ca.Function("command", [x, u], [model.command(x, u)]),
-    )
-
-
-def _function(name: str, inputs: list[Any], outputs: list[Any], names: list[str]) -> Any:
-    """Function with dense outputs, matrices row by row, common subexpressions shared."""
-    rows = [ca.densify(ca.vec(o.T)) for o in outputs]
-    return ca.Function(name, inputs, ca.cse(rows), [f"i{n}" for n in range(len(inputs))], names)
+    values, scales = [], []
+    for residual in residuals:
+        built = residual.build(model, x, u, stage_parts)
+        for term, value in zip(residual.terms, built, strict=True):
+            label = residual.name if residual.name == term.key else f"{residual.name}_{term.key}"
+            values.append(value)
+            scales.append(weights[f"{WEIGHT}{label}"])
+    return ca.vertcat(*values), ca.vertcat(*scales)
 
 
 def limiter_of(ocp: Ocp) -> Block:

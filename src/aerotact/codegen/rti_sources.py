@@ -1,0 +1,106 @@
+"""Transcription -> C of its real-time iteration: linearisation of all stages, quadratic programme, the two phases."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from aerotact.codegen.backends import QpDimensions, find_backend
+from aerotact.codegen.functions import number
+from aerotact.codegen.lanes import Strided, emit_stages
+from aerotact.codegen.templating import templates
+from aerotact.mpc.transcription import Transcription
+from aerotact.ports import Array
+
+FunctionRow = tuple[Any, str, list[str], list[str]]
+"""A CasADi function, its name in C, the names of its arguments and of its results."""
+
+
+@dataclass(frozen=True)
+class RtiSources:
+    """What a project takes in.
+
+    Attributes:
+        files: path inside the project -> text.
+        functions: that `src/<name>_functions.c` must hold.
+        signatures: of the functions that `src/<name>_functions.h` must declare besides.
+        context: what the templates know under `rti`.
+    """
+
+    files: dict[str, str]
+    functions: list[FunctionRow]
+    signatures: list[str]
+    context: dict[str, Any]
+
+
+def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSources:
+    """C of the real-time iteration.
+
+    Args:
+        transcription: of the problem.
+        backend: name of who solves the quadratic programme.
+        where: file and key that named it, for the error.
+
+    Raises:
+        UnknownName: there is no such back end.
+        CodegenError: an operation that C lacks.
+    """
+    s = transcription.statement
+    name, n, m = s.name, s.ndx, s.nu
+    solve = find_backend(backend, where)
+    inputs = {"x": s.nx, "u": m, "x_next": s.nx, "stage": max(s.stage_size, 1), "p": 0, "h": 1, "gain": m}
+    results = {"A": n * n, "B": n * m, "b": n, "Q": n * n, "S": m * n, "R": m * m, "q": n, "r": m}
+    stages = emit_stages(
+        transcription.linearise,
+        f"{name}_linearise",
+        [Strided(*item) for item in inputs.items()],
+        [Strided(*item) for item in results.items()],
+    )
+    bounds = s.bounds
+    context = {
+        "steps": transcription.steps,
+        "nx": s.nx,
+        "ndx": n,
+        "nu": m,
+        "np": s.stage_size,
+        "lengths": numbers(np.diff(s.times)),
+        "gains": [numbers(row) for row in s.gains],
+        "u_lower": numbers(bounds.u_lower),
+        "u_upper": numbers(bounds.u_upper),
+        "bounded": list(bounds.states),
+        "x_lower": numbers(bounds.x_lower),
+        "x_upper": numbers(bounds.x_upper),
+        "lag": numbers(bounds.lag) if bounds.lag is not None else [],
+        "fixed": [
+            (result, [(entry, number(value)) for entry, value in sorted(entries.items()) if value != 0.0])
+            for result, entries in stages.constants.items()
+        ],
+    }
+    known = {"name": name, "NAME": name.upper(), "rti": context}
+    environment = templates()
+
+    def render(template: str, **more: Any) -> str:
+        return environment.get_template(template).render(known, **more)
+
+    # The changes have one coordinate fewer than the states, all of them before the plain ones that can be bounded.
+    dimensions = QpDimensions(n, m, transcription.steps, tuple(i - (s.nx - n) for i in bounds.states))
+    files = {
+        f"include/{name}_rti.h": render("rti.h.jinja"),
+        f"src/{name}_rti.c": render("rti.c.jinja"),
+        f"src/{name}_lanes.h": render("lanes.h.jinja", lane_functions=stages.math),
+        f"src/{name}_stages.c": render("stages.c.jinja", source=stages.source),
+        **solve(name, dimensions),
+    }
+    functions: list[FunctionRow] = [
+        (transcription.linearise_terminal, f"{name}_linearise_terminal", ["x", "stage", "p"], ["Q", "q"]),
+        (transcription.retract, f"{name}_retract", ["x", "dx"], ["moved"]),
+        (transcription.difference, f"{name}_difference", ["from", "to"], ["dx"]),
+        (transcription.rest, f"{name}_rest", ["x"], ["rest"]),
+        (transcription.command, f"{name}_command", ["x", "u"], ["command"]),
+    ]
+    return RtiSources(files, functions, [stages.signature], context)
+
+
+def numbers(values: Array) -> list[str]:
+    """C literals of an array, flattened."""
+    return [number(float(v)) for v in np.asarray(values, dtype=float).ravel()]
