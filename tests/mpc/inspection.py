@@ -30,7 +30,9 @@ class Inspected(Controller):
             **{"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)},
             **{"qp_solution.x": (N + 1, ndx), "qp_solution.u": (N, nu)},
         }
-        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{field};" for i, field in enumerate(shapes))
+        of_rti = ("x", "u", "stage")  # the iteration's own; the rest is the controller's
+        places = [f"rti.{f}" if f in of_rti or f.startswith("qp_") else f for f in shapes]
+        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{place};" for i, place in enumerate(places))
         source = (
             f'#include "{name}.h"\n'
             f"double *{name}_field(void *workspace, int field);\n"
