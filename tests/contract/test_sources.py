@@ -27,6 +27,7 @@ ORDER = (
     ("experiments",),
     ("flight",),
     ("check", "compare", "report", "sweep"),
+    ("bench",),
     ("terminal", "cli", "__main__"),
 )
 RANK = {noun: rank for rank, row in enumerate(ORDER) for noun in row}
