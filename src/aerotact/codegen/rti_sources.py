@@ -116,7 +116,17 @@ def _pattern(transcription: Transcription, constants: dict[str, dict[int, float]
     grids["Q"] = np.maximum(grids["Q"], np.ravel(_last_hessian(transcription)).reshape(s.ndx, s.ndx))
     # The changes have one coordinate fewer than the states, all of them before the plain ones that can be bounded.
     bounded = tuple(i - (s.nx - s.ndx) for i in s.bounds.states)
-    return QpPattern(s.ndx, s.nu, transcription.steps, bounded, **{name: grid.tolist() for name, grid in grids.items()})
+    return QpPattern(
+        nx=s.ndx,
+        nu=s.nu,
+        steps=transcription.steps,
+        bounded=bounded,
+        A=grids["A"].tolist(),
+        B=grids["B"].tolist(),
+        Q=grids["Q"].tolist(),
+        R=grids["R"].tolist(),
+        S=grids["S"].tolist(),
+    )
 
 
 def _last_hessian(transcription: Transcription) -> Array:
