@@ -118,9 +118,13 @@ def _key(data: Any, place: tuple[int | str, ...], *, missing: bool) -> list[str]
     keys = []
     inner: Any = data
     for part in place:
-        if (isinstance(inner, dict) and part in inner) or (isinstance(inner, list) and isinstance(part, int)):
+        if isinstance(inner, dict) and part in inner:
             inner = inner[part]
-            keys.append(str(part))
+        elif isinstance(inner, list) and isinstance(part, int):
+            inner = inner[part]
+        else:
+            continue
+        keys.append(str(part))
     return [*keys, str(place[-1])] if missing else keys
 
 
