@@ -116,13 +116,10 @@ def load_problem(name_or_path: str | Path) -> tuple[Path, ProblemFile]:
 def _key(data: Any, place: tuple[int | str, ...], *, missing: bool) -> list[str]:
     """The keys on the way to an error, without the names of alternative types that stand between them."""
     keys = []
-    inner: Any = data
     for part in place:
-        if isinstance(inner, dict) and part in inner:
-            inner = inner[part]
-        elif isinstance(inner, list) and isinstance(part, int):
-            inner = inner[part]
-        else:
+        try:
+            data = data[part]
+        except (KeyError, IndexError, TypeError):
             continue
         keys.append(str(part))
     return [*keys, str(place[-1])] if missing else keys
