@@ -30,6 +30,8 @@ _TRUTH = {
     "f_tool_W": ("N", "W"),
     "f_contact_W": ("N", "W"),
 }
+WATCH_EVERY = 500  # physics steps
+LOST = 20.0  # m from the start; no experiment goes so far
 
 
 class Reference(Protocol):
@@ -128,7 +130,7 @@ class Loop:
         self._statuses = {block.name: Counter[str]() for block in (*self.estimators, self.controller)}
         pending: deque[tuple[int, Array]] = deque()
         started = clock.perf_counter()
-        fault, done = "", 0
+        fault, done, start = "", 0, self.plant.base_pose()[:3]
         try:
             for k in range(steps):
                 if k % self._imu_every == 0:
@@ -141,8 +143,10 @@ class Loop:
                 recorder.record(k)
                 self.plant.step()
                 done = k + 1
-                if progress is not None and k % 500 == 0:
-                    progress(k * dt)
+                if k % WATCH_EVERY == 0:
+                    self._watch(start, k * dt)
+                    if progress is not None:
+                        progress(k * dt)
         except (AerotactError, KeyboardInterrupt) as error:
             fault = str(error) or "interrupted"
         wall = clock.perf_counter() - started
@@ -160,6 +164,12 @@ class Loop:
             counts,
             self._control_every,
         )
+
+    def _watch(self, start: Array, time: float) -> None:
+        """End a flight that is lost, however far the plant would still compute it."""
+        distance = float(np.linalg.norm(self.plant.base_pose()[:3] - start))
+        if distance > LOST:
+            raise LoopError(f"the robot is lost at {time:.2f} s: {distance:.0f} m from where it began")
 
     def _sense(self, k: int, tables: Sequence["_ReferenceTable"]) -> None:
         bus = self._bus

@@ -8,6 +8,7 @@ of an internal state z, a measurement y, a reference r and parameters p. Each of
 ports that carry unit and frame, so that the generated C struct, the log's column and the loop's wiring agree by name.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -36,6 +37,7 @@ class Port:
         nodes: 1, or the number of horizon nodes of a preview (row-major, node by node).
         default: initial or default value, `size` numbers, the same at each node.
         limit: magnitude beyond which a value is refused as BAD_INPUT.
+        lower: value below which it is refused too.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Port:
     nodes: int = 1
     default: tuple[float, ...] = ()
     limit: float = 1e6
+    lower: float = -math.inf
 
     def __post_init__(self) -> None:
         if not self.default:

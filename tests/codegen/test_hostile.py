@@ -13,7 +13,7 @@ from aerotact.codegen.mpc_project import mpc_block, mpc_project
 from aerotact.codegen.project import CProject
 from aerotact.controller import Status
 from aerotact.dynamics.model import Model
-from aerotact.mpc.ocp import WEIGHT, Ocp, load_ocp
+from aerotact.mpc.ocp import Ocp, load_ocp
 from aerotact.ports import Block, Layout
 
 STEPS = 100_000
@@ -72,7 +72,7 @@ def _group(layout: Layout) -> dict[str, Any]:
     fields = [
         (
             *(layout.slice(p.name).start, p.size, p.nodes, int(p.kind == "quaternion"), int(p.kind == "flag")),
-            *(number(0.0 if p.name.startswith(WEIGHT) else -p.limit), number(p.limit)),
+            *(number(max(p.lower, -p.limit)), number(p.limit)),
         )
         for p in layout
     ]

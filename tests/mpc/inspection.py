@@ -58,7 +58,7 @@ class Inspected(Controller):
         super().__init__(CProject(name, {**project.files, extra: source, rti: injected}, (*project.sources, extra)))
         ffi = cffi.FFI()
         ffi.cdef(
-            f"double *{name}_field(void *, int); int {name}_broken;"
+            f"double *{name}_field(void *, int); extern int {name}_broken;"
             f"void {name}_configure(void *, int, int, int, double);"
         )
         library: Any = ffi.dlopen(str(self.library))

@@ -88,15 +88,14 @@ def test_no_plan_yet_means_hover_at_once(ocp: Ocp, mpc: Inspected) -> None:
     np.testing.assert_array_equal(mpc.output["thrust_cmd"], ocp.model.robot.hover_thrust)
 
 
-def test_zero_virtual_mass_is_numerical_and_ends_in_hover(ocp: Ocp, mpc: Inspected) -> None:
+def test_zero_virtual_mass_is_refused_and_ends_in_hover(ocp: Ocp, mpc: Inspected) -> None:
     _settle(mpc)
     mpc.parameters["M_EP"][1] = 0.0
     for failure in range(1, ocp.file.problem.max_failures + 1):
-        assert mpc.step() is Status.NUMERICAL
+        assert mpc.step() is Status.BAD_INPUT
         np.testing.assert_allclose(mpc.output["thrust_cmd"], _predicted(ocp, mpc, failure), atol=1e-12)
     for _ in range(60):
-        assert mpc.step() is Status.NUMERICAL
-    # the law divides by the same mass, so that hover is what is left
+        assert mpc.step() is Status.BAD_INPUT
     np.testing.assert_allclose(mpc.output["thrust_cmd"], ocp.model.robot.hover_thrust, atol=1e-12)
     mpc.parameters["M_EP"][1] = 1.5
     assert mpc.step() is Status.OK

@@ -8,7 +8,7 @@ from aerotact.codegen.example import make_example
 from aerotact.codegen.functions import number
 from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest
 from aerotact.codegen.rti_sources import FunctionRow, numbers, rti_sources
-from aerotact.mpc.ocp import WEIGHT, Ocp, limiter_of
+from aerotact.mpc.ocp import Ocp, limiter_of
 from aerotact.ports import Block, Layout, Port
 
 NO_DEADLINE = 1.0  # s; counts only once the caller sets a clock
@@ -40,9 +40,6 @@ def mpc_project(ocp: Ocp) -> CProject:
     block = mpc_block(ocp)
     context = block_context(block, model.robot)
     context["mpc"] = _context(ocp)
-    for port in next(g["ports"] for g in context["groups"] if g["title"] == "parameters"):
-        if port["name"].startswith(WEIGHT):
-            port["lower"] = number(0.0)
     rti = rti_sources(ocp, ocp.file.solver.backend, f"{ocp.path}, solver.backend")
     context["rti"] = rti.context
     functions: list[FunctionRow] = [

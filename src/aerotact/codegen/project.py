@@ -105,7 +105,7 @@ def _port_context(port: Port, start: int) -> dict[str, Any]:
         "nodes": port.nodes,
         "kind": port.kind,
         "start": start,
-        "lower": number(-port.limit),
+        "lower": number(max(-port.limit, port.lower)),
         "upper": number(port.limit),
         "comment": f"{port.unit}{frame}{doc}",
     }

@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 
 from aerotact.dynamics import so3
+from aerotact.ports import BlockBuilder
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,28 @@ class Admittance:
     M_r: Any
     D_r: Any
     K_r: Any
+
+
+LEAST_INERTIA = 1e-6  # kg and kg m2; (27) divides by it
+
+
+def add_parameters(b: BlockBuilder) -> tuple[Admittance, Any, Any]:
+    """Parameters of (27), with the paper's nominal values, and the dead zones of force, N, and torque, N m."""
+
+    def parameter(name: str, unit: str, default: Any, doc: str, lower: float = 0.0) -> Any:
+        return b.parameter(name, 3, unit, default, frame="W", doc=f"virtual {doc}, (27)", lower=lower)
+
+    law = Admittance(
+        M_p=parameter("M_EP", "kg", 1.5, "mass", LEAST_INERTIA),
+        D_p=parameter("D_EP", "N s/m", 10.0, "damping"),
+        K_p=parameter("K_EP", "N/m", 6.0, "stiffness"),
+        M_r=parameter("M_ER", "kg m^2", (0.01, 0.01, 0.02), "inertia", LEAST_INERTIA),
+        D_r=parameter("D_ER", "N m s/rad", 4.0, "rotational damping"),
+        K_r=parameter("K_ER", "N m/rad", (10.0, 10.0, 5.0), "rotational stiffness"),
+    )
+    force = b.parameter("dead_zone_force", 1, "N", 0.2, doc="force below which the tool feels nothing", lower=0.0)
+    torque = b.parameter("dead_zone_torque", 1, "N m", 0.2, doc="torque below which the tool feels nothing", lower=0.0)
+    return law, force, torque
 
 
 def attitude_error(q_from: Any, q_to: Any) -> Any:

@@ -241,7 +241,7 @@ class FreeFlight:
     """A smooth motion in all six axes without contact."""
 
     name: str = "ryll2019/free-flight"
-    doc: str = "a six-axis trajectory without contact, up to 0.5 m/s with tilts of 10 degrees"
+    doc: str = "a six-axis trajectory without contact, up to 0.33 m/s with tilts of up to 12 degrees"
     robot: str = "tilt_hex"
     world: str = "floor"
     seeds: int = 5

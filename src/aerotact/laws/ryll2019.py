@@ -16,7 +16,7 @@ import numpy as np
 
 from aerotact.dynamics import admittance, so3
 from aerotact.dynamics.actuators import thrust_limiter
-from aerotact.dynamics.admittance import Admittance, ToolMotion
+from aerotact.dynamics.admittance import ToolMotion
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.rotors import least_thrust_inverse
 from aerotact.gains import with_robot_gains
@@ -191,16 +191,7 @@ def _add_admittance(b: BlockBuilder, model: Model, rate: float) -> ToolMotion:
     R_WE_d = so3.rotation(q_d)
     desired = ToolMotion(p_d, q_d, v_d, ca.mtimes(R_WE_d, w_E_d), a_d, ca.mtimes(R_WE_d, dw_E_d))
 
-    law = Admittance(
-        M_p=b.parameter("M_EP", 3, "kg", 1.5, frame="W", doc="virtual mass, (27)"),
-        D_p=b.parameter("D_EP", 3, "N s/m", 10.0, frame="W", doc="virtual damping, (27)"),
-        K_p=b.parameter("K_EP", 3, "N/m", 6.0, frame="W", doc="virtual stiffness, (27)"),
-        M_r=b.parameter("M_ER", 3, "kg m^2", (0.01, 0.01, 0.02), frame="W", doc="virtual inertia, (27)"),
-        D_r=b.parameter("D_ER", 3, "N m s/rad", 4.0, frame="W", doc="virtual rotational damping, (27)"),
-        K_r=b.parameter("K_ER", 3, "N m/rad", (10.0, 10.0, 5.0), frame="W", doc="virtual rotational stiffness, (27)"),
-    )
-    dead_force = b.parameter("dead_zone_force", 1, "N", 0.2, doc="force below which the filter feels nothing")
-    dead_torque = b.parameter("dead_zone_torque", 1, "N m", 0.2, doc="torque below which the filter feels nothing")
+    law, dead_force, dead_torque = admittance.add_parameters(b)
     wrench_W = ca.vertcat(
         admittance.dead_zone(f_tool_W, dead_force),
         admittance.dead_zone(tau_tool_W, dead_torque),

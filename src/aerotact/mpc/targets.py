@@ -57,18 +57,8 @@ def _admittance(b: BlockBuilder, desired: list[adm.ToolMotion], times: list[floa
     """The reference motion at every node; declares the parameters and the state of the virtual mass-spring-damper."""
     f = b.measurement("f_tool_W", 3, "N", frame="W", doc="force of the environment on the tool")
     tau = b.measurement("tau_tool_W", 3, "N m", frame="W", doc="torque of the environment on the tool")
-    law = adm.Admittance(
-        M_p=b.parameter("M_EP", 3, "kg", 1.0, frame="W", doc="virtual mass"),
-        D_p=b.parameter("D_EP", 3, "N s/m", 1.0, frame="W", doc="virtual damping"),
-        K_p=b.parameter("K_EP", 3, "N/m", 1.0, frame="W", doc="virtual stiffness"),
-        M_r=b.parameter("M_ER", 3, "kg m^2", 1.0, frame="W", doc="virtual inertia"),
-        D_r=b.parameter("D_ER", 3, "N m s/rad", 1.0, frame="W", doc="virtual rotational damping"),
-        K_r=b.parameter("K_ER", 3, "N m/rad", 1.0, frame="W", doc="virtual rotational stiffness"),
-    )
-    wrench = ca.vertcat(
-        adm.dead_zone(f, b.parameter("dead_zone_force", 1, "N", 0.0, doc="forces below it are neglected")),
-        adm.dead_zone(tau, b.parameter("dead_zone_torque", 1, "N m", 0.0, doc="torques below it are neglected")),
-    )
+    law, dead_force, dead_torque = adm.add_parameters(b)
+    wrench = ca.vertcat(adm.dead_zone(f, dead_force), adm.dead_zone(tau, dead_torque))
     started = b.state("started", 1, "1", doc="the reference motion is set")
     kept = adm.ToolMotion(
         b.state("p_WE_r", 3, "m"),
@@ -135,7 +125,7 @@ def make_targets(
     f_ext = b.measurement("f_ext_W", 3, "N", frame="W", doc="force of the environment on the robot")
     tau_ext = b.measurement("tau_ext_B", 3, "N m", frame="B", doc="its torque about the centre of mass")
     for port in weights:
-        b.parameter(port.name, port.size, port.unit, port.default, doc=port.doc)
+        b.parameter(port.name, port.size, port.unit, port.default, doc=port.doc, lower=0.0)
     desired = _motions(b, model, len(times))
     reference = _admittance(b, desired, times) if "admittance" in uses else None
     target = reference or desired
