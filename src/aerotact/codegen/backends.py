@@ -1,7 +1,7 @@
 """Back ends: who solves the quadratic programme. Each gives C files with the interface of templates/qp/qp.h.jinja."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import jinja2
 
@@ -10,16 +10,37 @@ from aerotact.exceptions import UnknownName
 
 @dataclass(frozen=True)
 class QpDimensions:
-    """Dimensions of an OCP QP: states, controls, intervals, and the indices of the bounded states."""
+    """Dimensions of an OCP QP.
+
+    Attributes:
+        nx, nu, steps: states, controls, intervals.
+        bounded: indices of the bounded states.
+        zeros: of A, B, Q, S, R (stages before the last) and Q_end, row by row, the entries that are zero for all data;
+            a matrix that is not named is dense.
+    """
 
     nx: int
     nu: int
     steps: int
     bounded: tuple[int, ...]
+    zeros: Mapping[str, frozenset[int]] = field(default_factory=dict)
 
 
-Backend = Callable[[str, QpDimensions], dict[str, str]]
-"""(prefix, dimensions) -> path inside the project -> text."""
+Sources = Callable[[str, QpDimensions], dict[str, str]]
+"""(prefix, dimensions) -> path inside the project -> text; what others wrote goes below third_party/."""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A back end.
+
+    Attributes:
+        sources: its C files.
+        caveat: what its users must know, one sentence for header, README and manifest; empty if there is nothing.
+    """
+
+    sources: Sources
+    caveat: str = ""
 
 
 def _interior_point(prefix: str, dimensions: QpDimensions) -> dict[str, str]:
@@ -43,7 +64,19 @@ def _interior_point(prefix: str, dimensions: QpDimensions) -> dict[str, str]:
     }
 
 
-BACKENDS: dict[str, Backend] = {"aerotact": _interior_point}
+def _osqp(prefix: str, dimensions: QpDimensions) -> dict[str, str]:
+    """OSQP's embedded code; imported only when it is wanted."""
+    from aerotact.codegen.osqp_sources import osqp_sources  # noqa: PLC0415
+
+    return osqp_sources(prefix, dimensions)
+
+
+BACKENDS: dict[str, Backend] = {
+    "aerotact": Backend(_interior_point),
+    "osqp": Backend(
+        _osqp, "OSQP's work arrays are variables of this library: steps must not overlap, whatever their workspace."
+    ),
+}
 
 
 def find_backend(name: str, where: str) -> Backend:

@@ -47,7 +47,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     """
     s = transcription.statement
     name, n, m = s.name, s.ndx, s.nu
-    solve = find_backend(backend, where)
+    solver = find_backend(backend, where)
     inputs = {"x": s.nx, "u": m, "x_next": s.nx, "stage": max(s.stage_size, 1), "p": 0, "h": 1, "gain": m}
     results = {"A": n * n, "B": n * m, "b": n, "Q": n * n, "S": m * n, "R": m * m, "q": n, "r": m}
     stages = emit_stages(
@@ -83,13 +83,24 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         return environment.get_template(template).render(known, **more)
 
     # The changes have one coordinate fewer than the states, all of them before the plain ones that can be bounded.
-    dimensions = QpDimensions(n, m, transcription.steps, tuple(i - (s.nx - n) for i in bounds.states))
+    bounded = tuple(i - (s.nx - n) for i in bounds.states)
+    terminal = emit_stages(
+        transcription.linearise_terminal,
+        f"{name}_linearise_terminal",
+        [Strided(key, 0) for key in ("x", "stage", "p")],
+        [Strided("Q_end", n * n), Strided("q_end", n)],
+    )
+    zeros = {
+        matrix: frozenset(entry for entry, value in entries.items() if value == 0.0)
+        for matrix, entries in (stages.constants | terminal.constants).items()
+    }
+    dimensions = QpDimensions(n, m, transcription.steps, bounded, zeros)
     files = {
         f"include/{name}_rti.h": render("rti.h.jinja"),
         f"src/{name}_rti.c": render("rti.c.jinja"),
         f"src/{name}_lanes.h": render("lanes.h.jinja", lane_functions=stages.math),
         f"src/{name}_stages.c": render("stages.c.jinja", source=stages.source),
-        **solve(name, dimensions),
+        **solver.sources(name, dimensions),
     }
     functions: list[FunctionRow] = [
         (transcription.linearise_terminal, f"{name}_linearise_terminal", ["x", "stage", "p"], ["Q", "q"]),
