@@ -15,6 +15,7 @@ class QpDimensions:
     Attributes:
         nx, nu, steps: states, controls, intervals.
         bounded: indices of the bounded states.
+        general: rows lg <= C x + D u <= ug of every stage.
         zeros: of A, B, Q, S, R (stages before the last) and Q_end, row by row, the entries that are zero for all data;
             a matrix that is not named is dense.
     """
@@ -23,6 +24,7 @@ class QpDimensions:
     nu: int
     steps: int
     bounded: tuple[int, ...]
+    general: int = 0
     zeros: Mapping[str, frozenset[int]] = field(default_factory=dict)
 
 
@@ -54,9 +56,9 @@ def _interior_point(prefix: str, dimensions: QpDimensions) -> dict[str, str]:
         "nu": dimensions.nu,
         "N": dimensions.steps,
         "idxbx": list(dimensions.bounded),
-        "ng": 0,
+        "ng": dimensions.general,
         "soft_x": [False] * len(dimensions.bounded),
-        "soft_g": [],
+        "soft_g": [False] * dimensions.general,
     }
     return {
         f"include/{prefix}_qp.h": environment.get_template("qp/qp.h.jinja").render(context),

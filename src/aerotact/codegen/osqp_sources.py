@@ -139,8 +139,10 @@ def osqp_sources(prefix: str, dimensions: QpDimensions) -> dict[str, str]:
     """Adapter and OSQP's embedded C: path inside the project -> text.
 
     Raises:
-        CodegenError: OSQP refuses to set up or to write its code.
+        CodegenError: there are general rows; or OSQP refuses to set up or to write its code.
     """
+    if dimensions.general:
+        raise CodegenError(f"{prefix}: the back end osqp has no general rows; valid: the back end aerotact, or bounds")
     pattern = Pattern(dimensions)
     context = {
         "prefix": prefix,
@@ -219,8 +221,8 @@ def _embedded(prefix: str, pattern: Pattern) -> dict[str, str]:
         files = {f"{FOLDER}/{p.name}": _DATED.sub(r"\1", p.read_text()) for p in sorted(written, key=lambda p: p.name)}
     files[f"{FOLDER}/README.md"] = (
         f"# OSQP {_version()}\n\n"
-        "Embedded code as OSQP (https://osqp.org) writes it, Apache License 2.0 (see LICENSE). Changes: all files in one "
-        "folder,\ndates taken out of comments. Made for one programme: sparsity and array sizes are fixed.\n"
+        "Embedded code as OSQP (https://osqp.org) writes it, Apache License 2.0 (see LICENSE). Changes: all files in\n"
+        "one folder, dates taken out of comments. Made for one programme: sparsity and array sizes are fixed.\n"
     )
     files[f"{FOLDER}/LICENSE"] = _licence()
     return files

@@ -94,7 +94,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         matrix: frozenset(entry for entry, value in entries.items() if value == 0.0)
         for matrix, entries in (stages.constants | terminal.constants).items()
     }
-    dimensions = QpDimensions(n, m, transcription.steps, bounded, zeros)
+    dimensions = QpDimensions(n, m, transcription.steps, bounded, zeros=zeros)
     files = {
         f"include/{name}_rti.h": render("rti.h.jinja"),
         f"src/{name}_rti.c": render("rti.c.jinja"),
