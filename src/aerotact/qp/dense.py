@@ -60,7 +60,7 @@ def dense_qp(
 ) -> OcpQp:
     """An OCP QP with the same solution: N = 1, u_0 = x; rows of G and of A are general rows, those of A with lg = ug.
 
-    The state, which the interface needs, is one number, x_1 = u_0[0], that costs nothing.
+    The state, which the interface needs, is one number that stays 1.
 
     Args:
         P, q: (n, n), symmetric, and (n,).
@@ -84,7 +84,9 @@ def dense_qp(
     rows = np.vstack([rows_G, rows_A])
     count = len(rows)
     data = {
-        "B": np.eye(1, n),
+        "x0": np.ones(1),
+        "A": np.ones((1, 1)),
+        "Q": np.ones((2, 1)),
         "R": cost.ravel(),
         "r": linear,
         "lbu": lower_x,
