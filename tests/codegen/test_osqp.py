@@ -23,7 +23,7 @@ from aerotact.mpc.ocp import Ocp, load_ocp
 from aerotact.ports import Array
 
 CFLAGS = "-O1 -fno-stack-protector -U_FORTIFY_SOURCE"
-MATH = {"sqrt", "fmin", "fmax", "sin", "cos", "tan", "atan2", "exp", "log", "pow", "fmod"}
+MATH = {"sqrt", "sincos", "fmin", "fmax", "sin", "cos", "tan", "atan2", "exp", "log", "pow", "fmod"}
 MEMORY = {"memcpy", "memset", "memmove", "memcmp", "_GLOBAL_OFFSET_TABLE_"}
 
 

@@ -27,7 +27,8 @@ ORDER = (
     ("experiments",),
     ("flight",),
     ("check", "compare", "report", "sweep"),
-    ("cli", "__main__"),
+    ("bench",),
+    ("terminal", "cli", "__main__"),
 )
 RANK = {noun: rank for rank, row in enumerate(ORDER) for noun in row}
 # The plant knows nothing of who flies it.

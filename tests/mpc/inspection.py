@@ -30,7 +30,9 @@ class Inspected(Controller):
             **{"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)},
             **{"qp_solution.x": (N + 1, ndx), "qp_solution.u": (N, nu)},
         }
-        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{field};" for i, field in enumerate(shapes))
+        of_rti = ("x", "u", "stage")  # the iteration's own; the rest is the controller's
+        places = [f"rti.{f}" if f in of_rti or f.startswith("qp_") else f for f in shapes]
+        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{place};" for i, place in enumerate(places))
         source = (
             f'#include "{name}.h"\n'
             f"double *{name}_field(void *workspace, int field);\n"
@@ -47,12 +49,22 @@ class Inspected(Controller):
             f"    w->settings.clock = deadline > 0.0 ? clock_of_calls : NULL;\n    w->settings.clock_context = &now;\n"
             f"    w->settings.deadline = deadline;\n}}\n"
         )
-        extra = f"src/{name}_inspection.c"
-        super().__init__(CProject(name, {**project.files, extra: source}, (*project.sources, extra)))
+        source += f"int {name}_broken;\n"
+        extra, rti = f"src/{name}_inspection.c", f"src/{name}_rti.c"
+        solve = f"{name}_qp_feedback("
+        breakable = f"{name}_broken ? {name.upper()}_QP_NUMERICAL : {solve}"
+        assert project.files[rti].count(solve) == 1
+        injected = f"extern int {name}_broken;\n" + project.files[rti].replace(solve, breakable)
+        super().__init__(CProject(name, {**project.files, extra: source, rti: injected}, (*project.sources, extra)))
         ffi = cffi.FFI()
-        ffi.cdef(f"double *{name}_field(void *, int); void {name}_configure(void *, int, int, int, double);")
+        ffi.cdef(
+            f"double *{name}_field(void *, int); int {name}_broken;"
+            f"void {name}_configure(void *, int, int, int, double);"
+        )
         library: Any = ffi.dlopen(str(self.library))
         workspace = ffi.cast("void *", self._workspace.ctypes.data)
+        self._inspection, self._broken = library, f"{name}_broken"
+        self.break_solver(False)  # the library may be loaded already
         self._configure = lambda *settings: getattr(library, f"{name}_configure")(workspace, *settings)
         self.fields: dict[str, Array] = {}
         for i, (field, shape) in enumerate(shapes.items()):
@@ -65,6 +77,10 @@ class Inspected(Controller):
     ) -> None:
         """Change the settings of the workspace; with a `deadline`, a clock that advances by one with every call."""
         self._configure(max_failures, startup_iterations, iterations, deadline)
+
+    def break_solver(self, broken: bool) -> None:
+        """Let every quadratic programme end as NUMERICAL, or no longer."""
+        setattr(self._inspection, self._broken, int(broken))
 
     def hover(self, ocp: Ocp) -> None:
         """Measurements of the robot at rest in its hover keyframe."""

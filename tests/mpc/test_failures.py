@@ -123,7 +123,8 @@ def _push_far(mpc: Inspected) -> None:
 
 def test_fallback_law_takes_over_with_its_own_command(ocp: Ocp, mpc: Inspected) -> None:
     _push_far(mpc)
-    mpc.configure(max_failures=2, deadline=0.5)  # the clock is late at its second call
+    mpc.configure(max_failures=2)
+    mpc.break_solver(True)
     law, limit = ocp.fallback, limit_function(mpc_block(ocp).limiter)
     y = law.measurement.pack({p.name: mpc.measurement[p.name] for p in law.measurement})
     r = law.reference.pack({p.name: np.atleast_2d(mpc.reference[p.name])[0] for p in law.reference})
@@ -131,36 +132,36 @@ def test_fallback_law_takes_over_with_its_own_command(ocp: Ocp, mpc: Inspected) 
     z = law.state.default
     for failure in range(1, 30):
         sent = mpc.fields["limiter"].copy()
-        assert mpc.step() is Status.DEADLINE
+        assert mpc.step() is Status.NUMERICAL
         assert mpc.statistics.failures == failure
         z, u = (v.full().ravel() for v in law.step(z, y, r, p))
         command = limit(sent, law.output.unpack(u)["thrust_cmd"])[1].full().ravel()
         np.testing.assert_allclose(mpc.output["thrust_cmd"], command, atol=1e-9)
         np.testing.assert_allclose(mpc.fields["fallback_state"], z, atol=1e-9)
-    mpc.configure()
+    mpc.break_solver(False)
     assert mpc.step() is Status.OK
     np.testing.assert_array_equal(mpc.fields["fallback_state"], law.state.default)
 
 
-def test_deadline_before_any_usable_iterate_continues_the_plan(ocp: Ocp, mpc: Inspected) -> None:
+def test_failed_solves_continue_the_plan(ocp: Ocp, mpc: Inspected) -> None:
     _settle(mpc)
-    mpc.configure(deadline=0.5)
+    mpc.break_solver(True)
     _push_far(mpc)
     for failure in range(1, ocp.file.problem.max_failures + 1):
         wanted = _predicted(ocp, mpc, failure)
-        assert mpc.step() is Status.DEADLINE
+        assert mpc.step() is Status.NUMERICAL
         assert mpc.statistics.failures == failure
         np.testing.assert_allclose(mpc.output["thrust_cmd"], wanted, atol=1e-9)
 
 
-def test_deadline_after_a_usable_iterate_uses_it(ocp: Ocp, mpc: Inspected) -> None:
-    """A later deadline gives a later iterate: not converged, within the constraints, no failure."""
+def test_deadline_gives_what_there_is(ocp: Ocp, mpc: Inspected) -> None:
+    """A late clock ends the iterations: not converged, within the constraints, no failure."""
     _push_far(mpc)
     mpc.configure(deadline=1e9)
     assert mpc.step() is Status.OK
     needed = mpc.statistics.qp_iterations
     mpc.reset()
-    mpc.configure(deadline=needed - 3.5)
+    mpc.configure(deadline=0.5)  # the clock is late at its second call
     assert mpc.step() is Status.DEADLINE
     assert mpc.statistics.failures == 0
     assert mpc.statistics.qp_iterations < needed

@@ -1,35 +1,15 @@
 """Back ends: who solves the quadratic programme. Each gives C files with the interface of templates/qp/qp.h.jinja."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import jinja2
 
+from aerotact.codegen.qp_structure import QpPattern, template_context
 from aerotact.exceptions import UnknownName
 
-
-@dataclass(frozen=True)
-class QpDimensions:
-    """Dimensions of an OCP QP.
-
-    Attributes:
-        nx, nu, steps: states, controls, intervals.
-        bounded: indices of the bounded states.
-        general: rows lg <= C x + D u <= ug of every stage.
-        zeros: of A, B, Q, S, R (stages before the last) and Q_end, row by row, the entries that are zero for all data;
-            a matrix that is not named is dense.
-    """
-
-    nx: int
-    nu: int
-    steps: int
-    bounded: tuple[int, ...]
-    general: int = 0
-    zeros: Mapping[str, frozenset[int]] = field(default_factory=dict)
-
-
-Sources = Callable[[str, QpDimensions], dict[str, str]]
-"""(prefix, dimensions) -> path inside the project -> text; what others wrote goes below third_party/."""
+Sources = Callable[[str, QpPattern], dict[str, str]]
+"""(prefix, pattern) -> path inside the project -> text; what others wrote goes below third_party/."""
 
 
 @dataclass(frozen=True)
@@ -45,38 +25,29 @@ class Backend:
     caveat: str = ""
 
 
-def _interior_point(prefix: str, dimensions: QpDimensions) -> dict[str, str]:
-    """Structured primal-dual interior point method on a Riccati recursion."""
+def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
+    """Warm-started active set with an interior-point fallback on a structured Riccati recursion."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("aerotact.codegen"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
     )
-    context = {
-        "prefix": prefix,
-        "nx": dimensions.nx,
-        "nu": dimensions.nu,
-        "N": dimensions.steps,
-        "idxbx": list(dimensions.bounded),
-        "ng": dimensions.general,
-        "soft_x": [False] * len(dimensions.bounded),
-        "soft_g": [False] * dimensions.general,
-    }
+    context = template_context(prefix, pattern)
     return {
         f"include/{prefix}_qp.h": environment.get_template("qp/qp.h.jinja").render(context),
         f"src/{prefix}_qp.c": environment.get_template("qp/qp.c.jinja").render(context),
     }
 
 
-def _osqp(prefix: str, dimensions: QpDimensions) -> dict[str, str]:
-    """OSQP's embedded code; imported only when it is wanted."""
+def osqp_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
+    """OSQP's embedded code; the package is imported only when it is wanted."""
     from aerotact.codegen.osqp_sources import osqp_sources  # noqa: PLC0415
 
-    return osqp_sources(prefix, dimensions)
+    return osqp_sources(prefix, pattern)
 
 
 BACKENDS: dict[str, Backend] = {
-    "aerotact": Backend(_interior_point),
+    "aerotact": Backend(aerotact_qp),
     "osqp": Backend(
-        _osqp, "OSQP's work arrays are variables of this library: steps must not overlap, whatever their workspace."
+        osqp_qp, "OSQP's work arrays are variables of this library: steps must not overlap, whatever their workspace."
     ),
 }
 

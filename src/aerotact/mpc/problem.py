@@ -117,9 +117,11 @@ def _key(data: Any, place: tuple[int | str, ...], *, missing: bool) -> list[str]
     """The keys on the way to an error, without the names of alternative types that stand between them."""
     keys = []
     for part in place:
-        if (isinstance(data, dict) and part in data) or (isinstance(data, list) and isinstance(part, int)):
+        try:
             data = data[part]
-            keys.append(str(part))
+        except (KeyError, IndexError, TypeError):
+            continue
+        keys.append(str(part))
     return [*keys, str(place[-1])] if missing else keys
 
 

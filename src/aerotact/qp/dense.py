@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import ArrayLike
 
-from aerotact.codegen.backends import QpDimensions
+from aerotact.codegen.qp_structure import QpPattern
 from aerotact.exceptions import InputError
 from aerotact.ports import Array
 from aerotact.qp.solver import QpResult, QpSolver, QpStatus
@@ -14,9 +14,9 @@ from aerotact.qp.solver import QpResult, QpSolver, QpStatus
 
 @dataclass(frozen=True)
 class OcpQp:
-    """An OCP QP: its dimensions and its data by the names of the generated header."""
+    """An OCP QP: its size and its data by the names of the generated header."""
 
-    dimensions: QpDimensions
+    pattern: QpPattern
     data: dict[str, Array]
 
 
@@ -97,7 +97,7 @@ def dense_qp(
         data["D"] = rows.ravel()
         data["lg"] = np.stack([np.concatenate([np.full(len(upper), -np.inf), equal]), -free])
         data["ug"] = np.stack([np.concatenate([upper, equal]), free])
-    return OcpQp(QpDimensions(1, n, 1, (), count), data)
+    return OcpQp(QpPattern(nx=1, nu=n, steps=1, general=count), data)
 
 
 def solve_dense(
@@ -122,14 +122,14 @@ def solve_dense(
         CompilerNotFound, CodegenError: as QpSolver.
     """
     programme = dense_qp(P, q, G, h, A, b, lb, ub)
-    found = (solver or QpSolver(programme.dimensions)).solve(programme.data)
+    found = (solver or QpSolver(programme.pattern)).solve(programme.data)
     return _judge(programme, found, 0 if G is None else len(np.asarray(h).ravel()))
 
 
 def _judge(programme: OcpQp, found: QpResult, inequalities: int) -> DenseSolution:
     """Multipliers by kind, and residuals from the programme's own data."""
-    data, n = programme.data, programme.dimensions.nu
-    x, rows = found.u[0], programme.dimensions.general
+    data, n = programme.data, programme.pattern.nu
+    x, rows = found.u[0], programme.pattern.general
     P, D = data["R"].reshape(n, n), data.get("D", np.zeros(0)).reshape(rows, n)
     lower = np.concatenate([data["lbu"], data["lg"][0] if rows else []])
     upper = np.concatenate([data["ubu"], data["ug"][0] if rows else []])

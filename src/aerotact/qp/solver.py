@@ -10,9 +10,10 @@ import cffi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerotact.codegen.backends import QpDimensions, find_backend
+from aerotact.codegen.backends import find_backend
 from aerotact.codegen.build import compile_library
 from aerotact.codegen.project import THIRD_PARTY, CProject
+from aerotact.codegen.qp_structure import QpPattern
 from aerotact.exceptions import CodegenError, InputError, UnknownName
 from aerotact.ports import Array
 
@@ -37,7 +38,7 @@ class QpResult:
         pi: multipliers of the dynamics (N, nx).
         y: multipliers of the rows (N + 1, nu + bounded states + general rows): > 0 at the upper side, < 0 at the lower.
         stationarity, feasibility, complementarity: residuals, recomputed from the data, unscaled, largest entry.
-        iterations: of the solver.
+        iterations: of the solver, all its phases.
     """
 
     status: QpStatus
@@ -61,15 +62,15 @@ class QpSolver:
     `data` and `settings` are views of the C structs, by the names of the generated header.
     """
 
-    def __init__(self, dimensions: QpDimensions, backend: str = "aerotact", name: str = "qp") -> None:
+    def __init__(self, pattern: QpPattern, backend: str = "aerotact", name: str = "qp") -> None:
         """Generate, compile (or take from the cache) and load.
 
         Raises:
             UnknownName: there is no such back end.
             CompilerNotFound, CodegenError: as compile_library; or the back end cannot do this.
         """
-        self.dimensions = dimensions
-        files = dict(find_backend(backend, "QpSolver").sources(name, dimensions))
+        self.pattern = pattern
+        files = dict(find_backend(backend, "QpSolver").sources(name, pattern))
         header = f"{name}_qp.h"
         size = f"size_t {name}_qp_workspace_bytes(void)"
         shim = f"src/{name}_qp_workspace_bytes.c"
@@ -131,7 +132,7 @@ class QpSolver:
             stationarity=s.res_stationarity,
             feasibility=s.res_feasibility,
             complementarity=s.res_complementarity,
-            iterations=s.iterations,
+            iterations=s.iterations + s.active_set_iterations,
         )
 
     def _views(self, struct: Any) -> dict[str, Array]:
