@@ -7,20 +7,24 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import jinja2
 import numpy as np
 import pytest
+from native import SANITIZED, run
 
 from aerotact.codegen.backends import find_backend
 from aerotact.codegen.build import find_compiler
 from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import CProject
+from aerotact.codegen.qp_structure import QpPattern
 from aerotact.controller import Controller, Status
 from aerotact.dynamics.model import Model
-from aerotact.exceptions import UnknownName
+from aerotact.exceptions import CodegenError, UnknownName
 from aerotact.experiments import find_experiment
 from aerotact.flight import fly
 from aerotact.mpc.ocp import Ocp, load_ocp
 from aerotact.ports import Array
+from aerotact.qp.solver import QpSolver, QpStatus
 
 CFLAGS = "-O1 -fno-stack-protector -U_FORTIFY_SOURCE"
 MATH = {"sqrt", "sincos", "fmin", "fmax", "sin", "cos", "tan", "atan2", "exp", "log", "pow", "fmod"}
@@ -161,6 +165,86 @@ def test_first_command_is_that_of_the_default_back_end(
     assert status is other_status is Status.OK
     assert (iterations > 0) == active
     np.testing.assert_allclose(found, expected, atol=tolerance)  # N
+
+
+def _random_qp(rng: np.random.Generator, pattern: QpPattern) -> dict[str, Array]:
+    """Stable dynamics, a convex cost, bounds of which some are active at the solution."""
+    N, nx, nu, nb = pattern.steps, pattern.nx, pattern.nu, len(pattern.bounded)
+    J = rng.normal(size=(N + 1, nx + nu, nx + nu))
+    H = np.swapaxes(J, 1, 2) @ J + 0.1 * np.eye(nx + nu)
+    A = np.eye(nx) + 0.2 * rng.normal(size=(N, nx, nx))
+    return {
+        **{"A": A, "B": rng.normal(size=(N, nx, nu)), "b": 0.1 * rng.normal(size=(N, nx)), "x0": rng.normal(size=nx)},
+        **{"Q": H[:, :nx, :nx], "S": H[:N, nx:, :nx], "R": H[:N, nx:, nx:]},
+        **{"q": rng.normal(size=(N + 1, nx)), "r": rng.normal(size=(N, nu))},
+        **{"lbu": np.full((N, nu), -0.1), "ubu": np.full((N, nu), 0.2)},
+        **{"lbx": np.full((N + 1, nb), -np.inf), "ubx": np.full((N + 1, nb), 3.0)},
+    }
+
+
+@pytest.mark.parametrize("general_start", [True, False], ids=["x0", "zero"])
+def test_random_programmes_have_the_same_solution(general_start: bool) -> None:
+    pattern = QpPattern(nx=4, nu=2, steps=5, bounded=(1, 3))
+    ours, osqp = QpSolver(pattern), QpSolver(pattern, "osqp")
+    rng = np.random.default_rng(7)
+    active = solved = 0
+    for _ in range(40):
+        data = _random_qp(rng, pattern)
+        data["x0"] *= general_start
+        expected, found = ours.solve(data), osqp.solve(data)
+        assert found.status is expected.status
+        solved += found.status is QpStatus.OK
+        if found.status is not QpStatus.OK:
+            assert found.status is QpStatus.INFEASIBLE
+            continue
+        for name in ("x", "u", "pi", "y"):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-3, err_msg=name)
+        assert max(found.stationarity, found.feasibility, found.complementarity) < 1e-3
+        active += np.any(np.abs(expected.y) > 1e-3)
+    assert solved > 30
+    assert active > 20
+
+
+def test_statuses() -> None:
+    pattern = QpPattern(nx=4, nu=2, steps=5, bounded=(1, 3))
+    solver = QpSolver(pattern, "osqp")
+    data = _random_qp(np.random.default_rng(3), pattern)
+    assert solver.solve(data).status is QpStatus.OK
+    assert solver.solve({**data, "lbu": data["ubu"] + 1.0}).status is QpStatus.INFEASIBLE
+    assert solver.solve(data).status is QpStatus.OK
+    assert solver.solve({"ubx": np.full((6, 2), -1e3)}).status is QpStatus.INFEASIBLE
+    for name in ("A", "Q", "r", "lbu", "x0"):
+        spoilt = solver.solve({**data, name: np.full_like(np.asarray(data[name]), np.nan)})
+        assert spoilt.status is QpStatus.NUMERICAL, name
+        assert np.isfinite(spoilt.u).all()
+    assert solver.solve({**data, "Q": -100 * data["Q"]}).status is QpStatus.NUMERICAL
+    assert solver.solve(data).status is QpStatus.OK
+    solver.settings.max_iterations = 3
+    solver.reset()
+    stopped = solver.solve(data)
+    assert stopped.status is QpStatus.MAX_ITERATIONS
+    assert stopped.iterations == 3
+    assert stopped.stationarity > 1e-4
+
+
+def test_general_rows_are_refused() -> None:
+    with pytest.raises(CodegenError, match="osqp knows hard bounds only; valid: the back end aerotact"):
+        QpSolver(QpPattern(nx=1, nu=1, steps=1, general=1), "osqp")
+
+
+def test_hostile_programmes_leave_no_trace_under_sanitisers(tmp_path: Path) -> None:
+    pattern, name, solves = QpPattern(nx=3, nu=2, steps=3, bounded=(1, 2)), "tiny", 4000
+    files = find_backend("osqp", "here").sources(name, pattern)
+    template = jinja2.Environment(undefined=jinja2.StrictUndefined).from_string(
+        (Path(__file__).parent / "hostile_qp.c.jinja").read_text()
+    )
+    harness = template.render(
+        name=name, NAME=name.upper(), nx=pattern.nx, nu=pattern.nu, steps=pattern.steps, bounded=2, solves=solves
+    )
+    project = CProject(name, {**files, "manifest.json": "{}\n"}, (f"src/{name}_qp.c",))
+    counts = dict(zip(QpStatus, map(int, run(tmp_path, project, harness, SANITIZED).split()), strict=True))
+    assert sum(counts.values()) == solves
+    assert min(counts[s] for s in (QpStatus.OK, QpStatus.INFEASIBLE, QpStatus.NUMERICAL)) > solves // 50, counts
 
 
 def test_free_flight_is_tracked(osqp_problem: Path) -> None:
