@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import ArrayLike
 
-from aerotact.codegen.qp_structure import QpPattern
+from aerotact.codegen.qp_structure import FREE, ONE, ZERO, QpPattern
 from aerotact.exceptions import InputError
 from aerotact.ports import Array
 from aerotact.qp.solver import QpResult, QpSolver, QpStatus
@@ -14,10 +14,17 @@ from aerotact.qp.solver import QpResult, QpSolver, QpStatus
 
 @dataclass(frozen=True)
 class OcpQp:
-    """An OCP QP: its size and its data by the names of the generated header."""
+    """An OCP QP that stands for a dense programme.
+
+    Attributes:
+        pattern: its size and sparsity.
+        data: by the names of the generated header.
+        inequalities: the first of its general rows that are Gx <= h; the others are Ax = b.
+    """
 
     pattern: QpPattern
     data: dict[str, Array]
+    inequalities: int
 
 
 @dataclass(frozen=True)
@@ -97,7 +104,17 @@ def dense_qp(
         data["D"] = rows.ravel()
         data["lg"] = np.stack([np.concatenate([np.full(len(upper), -np.inf), equal]), -free])
         data["ug"] = np.stack([np.concatenate([upper, equal]), free])
-    return OcpQp(QpPattern(nx=1, nu=n, steps=1, general=count), data)
+    pattern = QpPattern(
+        nx=1,
+        nu=n,
+        steps=1,
+        general=count,
+        A=[[ONE]],
+        B=[[ZERO] * n],
+        R=np.where(cost != 0.0, FREE, ZERO).tolist(),
+        S=[[ZERO]] * n,
+    )
+    return OcpQp(pattern, data, len(upper))
 
 
 def solve_dense(
@@ -115,7 +132,8 @@ def solve_dense(
 
     Args:
         P, q, G, h, A, b, lb, ub: the programme.
-        solver: of an earlier programme of the same size, else one is compiled (or taken from the cache).
+        solver: for an earlier programme of the same sizes and the same sparsity of P, which then is the warm start;
+            without it, one is compiled (or taken from the cache).
 
     Raises:
         InputError: sizes that do not fit.
@@ -123,11 +141,12 @@ def solve_dense(
     """
     programme = dense_qp(P, q, G, h, A, b, lb, ub)
     found = (solver or QpSolver(programme.pattern)).solve(programme.data)
-    return _judge(programme, found, 0 if G is None else len(np.asarray(h).ravel()))
+    return dense_solution(programme, found)
 
 
-def _judge(programme: OcpQp, found: QpResult, inequalities: int) -> DenseSolution:
+def dense_solution(programme: OcpQp, found: QpResult) -> DenseSolution:
     """Multipliers by kind, and residuals from the programme's own data."""
+    inequalities = programme.inequalities
     data, n = programme.data, programme.pattern.nu
     x, rows = found.u[0], programme.pattern.general
     P, D = data["R"].reshape(n, n), data.get("D", np.zeros(0)).reshape(rows, n)

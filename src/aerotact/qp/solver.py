@@ -108,19 +108,27 @@ class QpSolver:
         for value in self.data.values():
             value[:] = 0.0
 
-    def solve(self, data: Mapping[str, ArrayLike] | None = None) -> QpResult:
-        """Solve, after writing `data` (a field keeps what it had if it is not named).
+    def write(self, data: Mapping[str, ArrayLike]) -> None:
+        """Copy into the fields that `data` names; the others keep what they had.
 
         Raises:
             UnknownName, InputError: a field or a size that does not fit.
         """
-        for field, value in (data or {}).items():
+        for field, value in data.items():
             if field not in self.data:
-                raise UnknownName("field", field, self.data, "QpSolver.solve")
+                raise UnknownName("field", field, self.data, "QpSolver.write")
             array = np.asarray(value, dtype=float)
             if array.size != self.data[field].size:
                 raise InputError(f"{field}: {array.size} numbers; valid: {self.data[field].size}")
             self.data[field][:] = array.reshape(self.data[field].shape)
+
+    def solve(self, data: Mapping[str, ArrayLike] | None = None) -> QpResult:
+        """Solve, warm-started, after writing `data`.
+
+        Raises:
+            UnknownName, InputError: as write.
+        """
+        self.write(data or {})
         status = self._solve(self._data, self._settings, self._workspace, self._solution)
         s, found = self._solution, self._found
         return QpResult(
