@@ -25,18 +25,24 @@ MOSTLY_REFUSED = (0.001, 0.5, 0.3, 0.001, 0.02, 0.001, 0.001, 0.07, 0.001, 0.105
 
 
 def _fly(
-    folder: Path, block: Block, model: Model, project: CProject, share: tuple[float, ...], flags: tuple[str, ...]
+    folder: Path,
+    block: Block,
+    model: Model,
+    project: CProject,
+    share: tuple[float, ...],
+    flags: tuple[str, ...],
+    steps: int = STEPS,
 ) -> dict[Status, int]:
     """How often each status was returned."""
-    harness = _harness(block, model, share, mpc=project.manifest.get("ocp") is not None)
+    harness = _harness(block, model, share, steps, mpc=project.manifest.get("ocp") is not None)
     statuses, kinds = ([int(n) for n in line.split()] for line in run(folder, project, harness, flags).splitlines())
-    assert sum(statuses) == sum(kinds) >= STEPS
+    assert sum(statuses) == sum(kinds) >= steps
     assert all(kinds)
     print(f"{block.name} of {model.robot.name}: {dict(zip(Status, statuses, strict=True))}")
     return dict(zip(Status, statuses, strict=True))
 
 
-def _harness(block: Block, model: Model, share: tuple[float, ...], *, mpc: bool) -> str:
+def _harness(block: Block, model: Model, share: tuple[float, ...], steps: int, *, mpc: bool) -> str:
     template = jinja2.Environment(
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     ).from_string((Path(__file__).parent / "hostile.c.jinja").read_text())
@@ -58,7 +64,7 @@ def _harness(block: Block, model: Model, share: tuple[float, ...], *, mpc: bool)
         limits={key: [number(float(v)) for v in values] for key, values in limits.items()},
         share=[number(s) for s in share],
         seed=20190815,
-        steps=STEPS,
+        steps=steps,
         phase=PHASE,
         state_size=block.state.size,
         output_size=block.output.size,
@@ -104,8 +110,18 @@ def test_mpc_of_a_short_horizon_keeps_its_promises_under_sanitisers(
     _check_mpc(counts)
 
 
-def _check_mpc(counts: dict[Status, int]) -> None:
-    assert counts[Status.OK] > STEPS // 100
-    assert counts[Status.BAD_INPUT] > STEPS // 2
+def test_mpc_of_a_short_horizon_by_osqp_keeps_its_promises(
+    tmp_path: Path, models: dict[str, Model], short_problem: Path
+) -> None:
+    path = tmp_path / "short_osqp.toml"
+    path.write_text(short_problem.read_text().replace('backend = "aerotact"', 'backend = "osqp"'))
+    model = models["octorotor"]
+    ocp, steps = load_ocp(path, model), STEPS // 5
+    _check_mpc(_fly(tmp_path, mpc_block(ocp), model, mpc_project(ocp), MOSTLY_REFUSED, PLAIN, steps), steps)
+
+
+def _check_mpc(counts: dict[Status, int], steps: int = STEPS) -> None:
+    assert counts[Status.OK] > steps // 100
+    assert counts[Status.BAD_INPUT] > steps // 2
     assert counts[Status.NUMERICAL] > 0
     assert counts[Status.DEADLINE] == 0

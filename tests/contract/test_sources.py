@@ -21,7 +21,7 @@ ORDER = (
     ("laws", "estimation"),
     ("mpc",),
     ("codegen",),
-    ("controller",),
+    ("controller", "qp"),
     ("plant",),
     ("log", "loop", "metrics", "plots"),
     ("experiments",),

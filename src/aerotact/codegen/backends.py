@@ -1,14 +1,28 @@
 """Back ends: who solves the quadratic programme. Each gives C files with the interface of templates/qp/qp.h.jinja."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import jinja2
 
 from aerotact.codegen.qp_structure import QpPattern, template_context
 from aerotact.exceptions import UnknownName
 
-Backend = Callable[[str, QpPattern], dict[str, str]]
-"""(prefix, pattern) -> path inside the project -> text."""
+Sources = Callable[[str, QpPattern], dict[str, str]]
+"""(prefix, pattern) -> path inside the project -> text; what others wrote goes below third_party/."""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A back end.
+
+    Attributes:
+        sources: its C files.
+        caveat: what its users must know, one sentence for header, README and manifest; empty if there is nothing.
+    """
+
+    sources: Sources
+    caveat: str = ""
 
 
 def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
@@ -23,7 +37,19 @@ def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
     }
 
 
-BACKENDS: dict[str, Backend] = {"aerotact": aerotact_qp}
+def osqp_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
+    """OSQP's embedded code; the package is imported only when it is wanted."""
+    from aerotact.codegen.osqp_sources import osqp_sources  # noqa: PLC0415
+
+    return osqp_sources(prefix, pattern)
+
+
+BACKENDS: dict[str, Backend] = {
+    "aerotact": Backend(aerotact_qp),
+    "osqp": Backend(
+        osqp_qp, "OSQP's work arrays are variables of this library: steps must not overlap, whatever their workspace."
+    ),
+}
 
 
 def find_backend(name: str, where: str) -> Backend:

@@ -59,27 +59,24 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS) -> Path:
         root = Path(scratch)
         project.write(root / "project")
         built = root / library.name
-        command = [
-            *compiler,
-            *flags,
-            "-fPIC",
-            "-shared",
-            "-Iinclude",
-            "-Isrc",
-            *project.sources,
-            "-lm",
-            "-o",
-            str(built),
-        ]
-        done = subprocess.run(command, cwd=root / "project", capture_output=True, text=True, check=False)
-        if done.returncode:
-            first = "\n".join(done.stderr.splitlines()[:12])
-            raise CodegenError(f"{project.name}: {shlex.join(command)} failed with {done.returncode}:\n{first}")
+        objects = [Path(p).with_suffix(".o").name for p in project.third_party]
+        if objects:
+            quiet = [f for f in flags if not f.startswith("-W") and f != "-pedantic"]
+            _compile(project, root, [*compiler, *quiet, "-w", "-fPIC", "-c", *project.third_party])
+        own = [*compiler, *flags, "-fPIC", "-shared", "-Iinclude", "-Isrc", *project.sources, *objects]
+        _compile(project, root, [*own, "-lm", "-o", str(built)])
         # A rename within the cache is atomic, so that two processes may build the same library.
         partial = library.with_suffix(f".{os.getpid()}.part")
         shutil.copy2(built, partial)
         partial.replace(library)
     return library
+
+
+def _compile(project: CProject, root: Path, command: list[str]) -> None:
+    done = subprocess.run(command, cwd=root / "project", capture_output=True, text=True, check=False)
+    if done.returncode:
+        first = "\n".join(done.stderr.splitlines()[:12])
+        raise CodegenError(f"{project.name}: {shlex.join(command)} failed with {done.returncode}:\n{first}")
 
 
 def _make_folder(folder: Path) -> None:

@@ -4,6 +4,7 @@ import hashlib
 from dataclasses import replace
 from typing import Any
 
+from aerotact.codegen.backends import BACKENDS
 from aerotact.codegen.example import make_example
 from aerotact.codegen.functions import number
 from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest
@@ -42,6 +43,7 @@ def mpc_project(ocp: Ocp) -> CProject:
     context["mpc"] = _context(ocp)
     rti = rti_sources(ocp, ocp.file.solver.backend, f"{ocp.path}, solver.backend")
     context["rti"] = rti.context
+    context["caveat"] = BACKENDS[ocp.file.solver.backend].caveat
     functions: list[FunctionRow] = [
         (ocp.targets.block.step, f"{name}_prepare", ["z", "y", "r", "p"], ["z_next", "out"]),
         *rti.functions,
@@ -53,6 +55,7 @@ def mpc_project(ocp: Ocp) -> CProject:
     extra = {
         "times_s": [float(t) for t in ocp.times],
         "ocp": {"file": ocp.path.name, "sha256": inputs, "backend": ocp.file.solver.backend, "steps": ocp.steps},
+        **({"caveat": context["caveat"]} if context["caveat"] else {}),
     }
     text = manifest(block, model.robot, extra)
     return assemble(context, functions, example, "mpc.c.jinja", text, rti.files, rti.signatures)

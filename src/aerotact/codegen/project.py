@@ -22,6 +22,7 @@ from aerotact.robot import Robot
 
 MAX_FAILURES = 10
 MANIFEST = "manifest.json"
+THIRD_PARTY = "third_party/"
 _GROUPS = {
     "measurement": "What was measured.",
     "reference": "What is wanted.",
@@ -37,7 +38,7 @@ class CProject:
     Attributes:
         name: prefix of everything in it.
         files: path inside the project -> text.
-        sources: the C files of the library, inside the project.
+        sources: our C files of the library, inside the project.
     """
 
     name: str
@@ -50,11 +51,16 @@ class CProject:
         return dict(json.loads(self.files[MANIFEST]))
 
     @property
+    def third_party(self) -> tuple[str, ...]:
+        """C files of the library that others wrote: compiled as C, without our warnings."""
+        return tuple(p for p in self.files if p.startswith(THIRD_PARTY) and p.endswith(".c"))
+
+    @property
     def digest(self) -> str:
         """Hash of every byte of the library (not of the example or the texts)."""
         sha = hashlib.sha256()
         for path in sorted(self.files):
-            if path.startswith(("include/", "src/")):
+            if path.startswith(("include/", "src/", THIRD_PARTY)):
                 sha.update(path.encode() + b"\0" + self.files[path].encode() + b"\0")
         return sha.hexdigest()
 
@@ -71,7 +77,7 @@ class CProject:
                         f"{folder}: is not empty and holds no {MANIFEST} of aerotact; "
                         "valid: a new folder, or a generated project"
                     )
-                for part in ("include", "src", "example", "build"):
+                for part in ("include", "src", "third_party", "example", "build"):
                     shutil.rmtree(folder / part, ignore_errors=True)
             for path, text in self.files.items():
                 target = folder / path
@@ -144,6 +150,7 @@ def block_context(block: Block, robot: Robot) -> dict[str, Any]:
         "max_failures": MAX_FAILURES,
         "seconds": f"{SECONDS:g}",
         "mpc": None,
+        "caveat": "",
     }
 
 
@@ -182,8 +189,10 @@ def assemble(
     """Render the files that every project has around its own `src/<name>.c`, made from template `main`."""
     environment = templates()
     name = str(context["name"])
-    sources = (f"src/{name}.c", f"src/{name}_functions.c", *[p for p in extra_sources if p.endswith(".c")])
-    full = {**context, "plant": example.context, "sources": sources}
+    extra = [p for p in extra_sources if p.endswith(".c")]
+    sources = (f"src/{name}.c", f"src/{name}_functions.c", *[p for p in extra if not p.startswith(THIRD_PARTY)])
+    foreign = [p for p in extra if p.startswith(THIRD_PARTY)]
+    full = {**context, "plant": example.context, "sources": sources, "third_party": foreign}
     full["signatures"] = [*(signature(n, a, r) for _, n, a, r in functions), *extra_signatures]
 
     def render(template: str) -> str:

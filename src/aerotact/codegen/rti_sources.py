@@ -49,7 +49,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     """
     s = transcription.statement
     name, n, m = s.name, s.ndx, s.nu
-    solve = find_backend(backend, where)
+    solver = find_backend(backend, where)
     inputs = {"x": s.nx, "u": m, "x_next": s.nx, "stage": max(s.stage_size, 1), "p": 0, "h": 1, "gain": m}
     results = {"A": n * n, "B": n * m, "b": n, "Q": n * n, "S": m * n, "R": m * m, "q": n, "r": m}
     stages = emit_stages(
@@ -90,7 +90,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         f"src/{name}_rti.c": render("rti.c.jinja"),
         f"src/{name}_lanes.h": render("lanes.h.jinja", lane_functions=stages.math),
         f"src/{name}_stages.c": render("stages.c.jinja", source=stages.source),
-        **solve(name, pattern),
+        **solver.sources(name, pattern),
     }
     functions: list[FunctionRow] = [
         (transcription.linearise_terminal, f"{name}_linearise_terminal", ["x", "stage", "p"], ["Q", "q"]),

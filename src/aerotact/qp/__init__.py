@@ -1,0 +1,1 @@
+"""Quadratic programmes without a robot: the generated QP solvers called from Python."""
