@@ -42,7 +42,9 @@ class Answer:
 
     @property
     def finite(self) -> bool:
-        return all(np.isfinite(a).all() for a in (self.x, self.u, self.pi, self.y)) and bool(np.isfinite(self.objective))
+        return all(np.isfinite(a).all() for a in (self.x, self.u, self.pi, self.y)) and bool(
+            np.isfinite(self.objective)
+        )
 
 
 class Solver:
@@ -51,7 +53,17 @@ class Solver:
     def __init__(self, folder: Path, pattern: QpPattern, flags: tuple[str, ...] = NATIVE) -> None:
         self.pattern = pattern
         source, library = write_solver(folder, pattern), folder / "libqp.so"
-        command = [*find_compiler(), "-std=c99", *WARNINGS, f"-I{folder}/include", *flags, "-shared", "-fPIC", str(source), "-lm"]
+        command = [
+            *find_compiler(),
+            "-std=c99",
+            *WARNINGS,
+            f"-I{folder}/include",
+            *flags,
+            "-shared",
+            "-fPIC",
+            str(source),
+            "-lm",
+        ]
         subprocess.run([*command, "-o", str(library)], check=True)
         header = str(folder / "include" / "qp_qp.h")
         plain = subprocess.run([*find_compiler(), "-E", "-P", header], check=True, capture_output=True, text=True)
