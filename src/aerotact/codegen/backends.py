@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import jinja2
-
 from aerotact.codegen.qp_structure import QpPattern, template_context
+from aerotact.codegen.templating import templates
 from aerotact.exceptions import UnknownName
 
 Sources = Callable[[str, QpPattern], dict[str, str]]
@@ -27,9 +26,7 @@ class Backend:
 
 def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
     """Warm-started active set with an interior-point fallback on a structured Riccati recursion."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("aerotact.codegen"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
-    )
+    environment = templates()
     context = template_context(prefix, pattern)
     return {
         f"include/{prefix}_qp.h": environment.get_template("qp/qp.h.jinja").render(context),
