@@ -25,7 +25,6 @@ from aerotact.ports import Array
 STEPS, INTERVAL, RATE = 20, 0.05, 100.0
 GRAVITY = 9.81  # m/s^2
 WALL, STICK, STIFFNESS, SOFTNESS = 1.0, 0.55, 500.0, 0.002  # m, m, N/m, m
-TOUCHING = 0.5  # N, from which a sample of O counts as contact
 _POSE_WEIGHTS = (100.0,) * 3 + (20.0,) * 3 + (5.0,) * 3 + (1.0,) * 3  # position, attitude, velocity, angular velocity
 
 
@@ -39,6 +38,7 @@ class Problem:
         rate: Hz at which it is solved.
         parameters: that all stages share, shape (parameter_size,).
         start: state at hover, shape (nx,).
+        hold: samples from one step of the reference to the next, so that bounds are active in 70 to 90 % of samples.
         draw: random generator -> one stage's parameters, a large step away, shape (stage_size,).
         contact: state -> force on the tool, N, or None where the problem has no contact.
     """
@@ -49,6 +49,7 @@ class Problem:
     rate: float
     parameters: Array
     start: Array
+    hold: int
     draw: Callable[[np.random.Generator], Array]
     contact: Callable[[Array], float] | None = None
 
@@ -214,6 +215,7 @@ def _hexarotor(steps: int) -> Problem:
         RATE,
         np.zeros(0),
         _at_origin(hover),
+        125,
         partial(_step_of_pose, angle=1.0),
     )
 
@@ -255,7 +257,7 @@ def _tilt_rotor(steps: int) -> Problem:
 
     def draw(rng: np.random.Generator) -> Array:
         stage = _step_of_pose(rng, 0.6)
-        stage[0] = rng.uniform(-0.6, 0.6)
+        stage[0] = rng.uniform(-0.1, 0.7)  # in half of the steps the tip would be behind the wall
         return np.append(stage, rng.uniform(0, 10))
 
     return Problem(
@@ -265,6 +267,7 @@ def _tilt_rotor(steps: int) -> Problem:
         RATE,
         np.zeros(0),
         _at_origin(hover),
+        75,
         draw,
         lambda state: float(contact(state)),
     )
@@ -316,5 +319,6 @@ def _ocp_file(name: str) -> Problem:
         ocp.rate,
         ocp.targets.block.parameters.default,
         np.array(model.hover_state),
+        125,
         draw,
     )
