@@ -12,6 +12,8 @@ from aerotact.bench.problems import Problem, make_problem
 from aerotact.bench.run import Progress, Race, make_peers, race
 from aerotact.bench.scenario import record
 from aerotact.bench.summary import exponent, summarise
+from aerotact.dynamics.model import Model
+from aerotact.robot import load_robot
 
 GROWTH_SAMPLES = 150
 SEED = 11
@@ -47,9 +49,6 @@ def run_bench(options: Options, progress: Progress = lambda done, total, what: N
     growth = _growth(options, progress)
     blocks: dict[str, Any] = {}
     if options.blocks is not None:
-        from aerotact.dynamics.model import Model
-        from aerotact.robot import load_robot
-
         progress(0, 1, "laws and estimators")
         blocks = time_blocks(Model(load_robot(options.blocks)))
     return result, summarise(result, machine, growth, blocks)

@@ -17,10 +17,14 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics import so3
-from aerotact.exceptions import InputError
+from aerotact.dynamics.model import Model
+from aerotact.exceptions import AerotactError, InputError
 from aerotact.mpc.constraints import Bounds
+from aerotact.mpc.ocp import load_ocp
 from aerotact.mpc.transcription import Statement, Transcription, transcribe
 from aerotact.ports import Array
+from aerotact.resources import find_problem, robot_folders
+from aerotact.robot import load_robot
 
 STEPS, INTERVAL, RATE = 20, 0.05, 100.0
 GRAVITY = 9.81  # m/s^2
@@ -285,12 +289,6 @@ def _at_origin(actuators: Array) -> Array:
 
 def _ocp_file(name: str) -> Problem:
     """The transcription of an ocp file for the first robot that it fits, with steps of its targets."""
-    from aerotact.dynamics.model import Model
-    from aerotact.exceptions import AerotactError
-    from aerotact.mpc.ocp import load_ocp
-    from aerotact.resources import find_problem, robot_folders
-    from aerotact.robot import load_robot
-
     find_problem(name)
     ocp, fault = None, None
     for robot in robot_folders():

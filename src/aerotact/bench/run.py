@@ -118,7 +118,8 @@ def make_peers(problem: Problem, only: Sequence[str] | None = None) -> tuple[lis
     makers += [
         ("osqp", lambda: OsqpPeer(problem, 1e-3)),
         ("osqp", lambda: OsqpPeer(problem, 1e-5)),
-        ("casadi", lambda: CasadiPeer(problem, "sqpmethod")),
+        ("casadi", lambda: CasadiPeer(problem, "qrqp")),
+        ("casadi", lambda: CasadiPeer(problem, "daqp")),
         ("ipopt", lambda: CasadiPeer(problem, "ipopt")),
     ]
     peers: list[Peer] = []
@@ -146,7 +147,8 @@ def race(
     for number in range(passes):
         if number == 0:
             _warm_up(peers, samples)
-        turn = _one_pass(peers, samples, number == 0, lambda i: progress(i, len(samples), f"pass {number + 1}"))
+        report = partial(_report, progress, len(samples), f"pass {number + 1}")
+        turn = _one_pass(peers, samples, number == 0, report)
         for name, answers in turn.items():
             if answers:
                 rows[name].append(answers)
@@ -158,6 +160,10 @@ def race(
         progress(count, len(judged), f"accuracy of {record.peer.name}")
         _judge(problem, samples, record)
     return result
+
+
+def _report(progress: Progress, total: int, what: str, done: int) -> None:
+    progress(done, total, what)
 
 
 def _warm_up(peers: Sequence[Peer], samples: Sequence[Sample]) -> None:

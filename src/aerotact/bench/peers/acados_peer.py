@@ -9,6 +9,7 @@ fewer operations to evaluate and one more coordinate to solve for. Times are aca
 
 import contextlib
 import ctypes
+import importlib
 import importlib.metadata
 import io
 import os
@@ -76,10 +77,9 @@ def acados_template() -> Any:
             with contextlib.suppress(OSError):
                 ctypes.CDLL(str(file), mode=ctypes.RTLD_GLOBAL)
     try:
-        import acados_template as module
+        return importlib.import_module("acados_template")
     except ImportError as error:
         raise Absent(f"acados: skipped, its Python interface cannot be imported: {error}") from error
-    return module
 
 
 class AcadosPeer:

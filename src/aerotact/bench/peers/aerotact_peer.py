@@ -21,7 +21,10 @@ from aerotact.codegen.templating import templates
 from aerotact.ports import Array
 
 _CDEF = """
-typedef struct {{ double prepare, feedback, stationarity, feasibility, complementarity; int iterations, status; }} timed;
+typedef struct {{
+    double prepare, feedback, stationarity, feasibility, complementarity;
+    int iterations, status;
+}} timed;
 size_t {n}_timed_size(void);
 void {n}_timed_init(void *rti);
 void {n}_timed_run(void *rti, const double *x, const double *u, const double *stages, const double *parameters,

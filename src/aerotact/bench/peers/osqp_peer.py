@@ -1,5 +1,6 @@
 """OSQP from PyPI on the same quadratic programme; its own solve time, warm started, without set-up or linearisation."""
 
+import importlib
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ class OsqpPeer:
             Absent: it is not installed.
         """
         try:
-            import osqp
+            osqp: Any = importlib.import_module("osqp")
         except ImportError as error:
             raise Absent("osqp: skipped, it is not installed: pip install 'aerotact[bench]'") from error
         self._module, self._tolerance = osqp, tolerance
