@@ -94,10 +94,11 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
         f"{summary['samples']} samples of one closed loop with large steps of the reference; a bound is active in "
         f"{100 * summary['saturated']:.0f} % of them, the tool touches in {100 * summary['contact']:.0f} %. Every "
         "solver is given the same trajectory, parameters and measured state at each sample, in one process, by turns.",
-        f"Times in us. That of a sample is the smallest of {summary['passes']} passes, of those in which the system did "
-        'not take the processor away if there is one; "raw" are all of them as they were; "late" are raw times beyond '
-        "one period. They are each solver's own, taken inside C by the monotonic clock, but for CasADi and IPOPT, which "
-        "are timed around the call, and OSQP, whose solve alone counts. Slow solvers see some of the samples, once.",
+        f"Times in us. That of a sample is the smallest of {summary['passes']} passes, of those in which the system "
+        'did not take the processor away if there is one; "raw" are all of them as they were; "late" are raw times '
+        "beyond one period. They are each solver's own, taken inside C by the monotonic clock, but for CasADi and "
+        "IPOPT, which are timed around the call, and OSQP, whose solve alone counts. Slow solvers see some of the "
+        "samples, once.",
         "## Time",
         table(*time_rows(summary)),
     ]
