@@ -1,4 +1,4 @@
-"""Robots, models and what is generated from them, each made once a session; compiled libraries are shared by all workers."""
+"""Robots, models and what is generated from them, each made once a session; all workers share what is compiled."""
 
 import os
 from collections.abc import Callable, Iterator

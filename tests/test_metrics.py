@@ -96,7 +96,7 @@ def test_tool_error_is_judged_in_the_window_where_the_reference_is_fresh(robot: 
     assert _values(_log(robot, every=1, p_WE=moving, p_WE_r=held), robot)["tool_rmse"] == pytest.approx(
         np.sqrt((np.arange(10) ** 2).mean()) * 1e-3
     )
-    off = moving + [0.0, 0.003, 0.0]
+    off = moving + np.array([0.0, 0.003, 0.0])
     assert _values(_log(robot, p_WE=off, p_WE_r=moving), robot)["tool_rmse"] == pytest.approx(0.003)
     off[:500] = moving[:500]
     assert _values(_log(robot, p_WE=off, p_WE_r=moving), robot, slice(0, 500))["tool_rmse"] == 0.0

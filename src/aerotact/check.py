@@ -84,7 +84,8 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
         "hover keyframe is exact trim",
         error <= TRIM,
         f"largest acceleration {error:.1e}",
-        f"{plant_xml}: keyframe '{HOVER_KEYFRAME}': set ctrl and act to {_trim_thrust(robot)} N and the pose level",
+        f"{plant_xml}: keyframe '{HOVER_KEYFRAME}': make the pose level, at rest, and set ctrl and act to "
+        f'"{_trim_thrust(robot)}"',
     )
     rank = allocation_rank(robot)
     yield _item(
@@ -167,7 +168,7 @@ def _trim_error(robot: Robot) -> float:
 def _trim_thrust(robot: Robot) -> str:
     wrench = np.array([0, 0, robot.mass * robot.gravity, 0, 0, 0])
     thrust = np.linalg.lstsq(allocation(robot), wrench, rcond=None)[0]
-    return np.array2string(thrust, precision=12, floatmode="unique")
+    return " ".join(repr(float(t)) for t in thrust)
 
 
 def _unlisted(robot: Robot) -> list[str]:

@@ -1,7 +1,7 @@
 """Command line: list, check, generate, fly, compare, bench.
 
 Exit codes: 0 done; 1 a check or a run failed; 2 a name or an argument is wrong; 3 the robot folder; 4 the ocp file;
-5 code generation or compiling; 6 the loop.
+5 code generation or compiling; 6 the loop; 130 interrupted.
 """
 
 import json
@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from aerotact import __version__
 from aerotact.exceptions import AerotactError, InputError
+from aerotact.terminal import console, errors, make_folder, progress_bar, say, write
 
 if TYPE_CHECKING:
     from aerotact.flight import Options
@@ -29,8 +28,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="From the MuJoCo model of an aerial robot to standalone C controllers for touching the world.",
 )
-_console = Console()
-_errors = Console(stderr=True)
 _OPENGL = os.environ.get("MUJOCO_GL", "").strip().lower()  # as the user wants it
 _NO_OPENGL = ("disabled", "disable", "off", "false", "0")  # in MuJoCo's words
 
@@ -49,19 +46,16 @@ def main() -> None:
     try:
         app()
     except AerotactError as error:
-        _errors.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
+        errors.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
         sys.exit(error.exit_code)
     except OSError as error:
-        _errors.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
+        errors.print(f"[bold red]error:[/] {escape(str(error))}", soft_wrap=True)
         sys.exit(1)
-    except KeyboardInterrupt:
-        _errors.print("interrupted; what was written so far is kept")
-        sys.exit(130)
 
 
 def _version(value: bool) -> None:
     if value:
-        _console.print(f"aerotact {__version__}")
+        console.print(f"aerotact {__version__}")
         raise typer.Exit
 
 
@@ -93,7 +87,7 @@ def list_all() -> None:
         table.add_row("problem", name, str(file))
     for name, experiment in experiments().items():
         table.add_row("experiment", name, experiment.doc)
-    _console.print(table)
+    console.print(table)
 
 
 @app.command()
@@ -111,11 +105,11 @@ def check(
     table = Table("", "check", "found", title=f"robot {report.robot}")
     for item in report.items:
         table.add_row("[green]ok[/]" if item.passed else "[red]fails[/]", item.name, escape(item.detail))
-    _console.print(table)
+    console.print(table)
     if report.fits:
-        _say(f"fits: {', '.join(report.fits)}")
+        say(f"fits: {', '.join(report.fits)}")
     for misfit in report.misfits:
-        _say(f"does not fit: {misfit}")
+        say(f"does not fit: {misfit}")
     if json_file is not None:
         content = {
             "robot": report.robot,
@@ -124,7 +118,7 @@ def check(
             "fits": report.fits,
             "misfits": report.misfits,
         }
-        _write(json_file, json.dumps(content, indent=2) + "\n")
+        write(json_file, json.dumps(content, indent=2) + "\n")
     if not report.passed:
         raise typer.Exit(1)
 
@@ -154,8 +148,8 @@ def generate(
         )
     project.write(output)
     size = sum(len(text) for text in project.files.values())
-    _say(f"wrote {len(project.files)} files, {size / 1024:.0f} KiB, to {output}")
-    _say(f"build and run its example:  make -C {output} run")
+    say(f"wrote {len(project.files)} files, {size / 1024:.0f} KiB, to {output}")
+    say(f"build and run its example:  make -C {output} run")
 
 
 @app.command()
@@ -184,7 +178,7 @@ def fly(
     if chosen is None:
         raise UnknownName("case", str(case), cases, experiment)
     folder = output / experiment
-    with _progress() as progress:
+    with progress_bar() as progress:
         task = progress.add_task(f"{controller} {chosen.name}", total=chosen.duration)
         log, result = fly_case(
             found,
@@ -199,18 +193,18 @@ def fly(
     for name, metric in result.metrics.items():
         if metric.value is not None:
             table.add_row(name, f"{metric.value:.4g}", metric.unit)
-    _console.print(table)
+    console.print(table)
     for block, statuses in {"controller": log.statuses, **log.estimator_statuses}.items():
-        _say(f"steps of {block}: {', '.join(f'{count} {status}' for status, count in statuses.items())}")
+        say(f"steps of {block}: {', '.join(f'{count} {status}' for status, count in statuses.items())}")
     if result.file is not None:
-        _say(f"log:     {result.file}")
+        say(f"log:     {result.file}")
         if not result.fault:
             runs = {(result.controller, chosen.name): read_columns(result.file)}
             for figure in found.plot(runs, folder / result.controller):
-                _say(f"plot:    {figure}")
+                say(f"plot:    {figure}")
     _picture(robot or found.robot, folder)
     if result.fault:
-        _errors.print(f"[bold red]ended early:[/] {escape(result.fault)}; the log holds what was flown", soft_wrap=True)
+        errors.print(f"[bold red]ended early:[/] {escape(result.fault)}; the log holds what was flown", soft_wrap=True)
         raise typer.Exit(6)
 
 
@@ -246,7 +240,7 @@ def compare(
             raise UnknownName("case", name, known, experiment)
     folder = output / experiment
     options = _flight_options(robot, truth, delay, folder)
-    with _progress() as progress:
+    with progress_bar() as progress:
         task = progress.add_task("", total=None)
         comparison = run_comparison(
             found,
@@ -257,23 +251,23 @@ def compare(
             jobs,
             lambda done, total, what: progress.update(task, completed=done, total=total, description=what),
         )
-    _console.print(comparison_table(comparison))
+    console.print(comparison_table(comparison))
     if truth:
-        _say("the controllers had the true state of the base, not an estimate")
-    _write(folder / "compare.json", comparison.to_json())
+        say("the controllers had the true state of the base, not an estimate")
+    write(folder / "compare.json", comparison.to_json())
     if json_file is not None:
-        _write(json_file, comparison.to_json())
+        write(json_file, comparison.to_json())
     runs = {key: read_columns(file) for key, file in first_seed_logs(comparison).items()}
     figures = found.plot(runs, folder) if runs else []
     for figure in figures:
-        _say(f"plot:    {figure}")
+        say(f"plot:    {figure}")
     picture = _picture(robot or found.robot, folder)
     page = write_report(comparison, found, [*([picture] if picture else []), *figures], folder / "report.html")
-    _say(f"page:    {page}")
-    _say(f"numbers: {folder / 'compare.json'}")
-    _say(f"logs:    {folder}, one folder a controller")
+    say(f"page:    {page}")
+    say(f"numbers: {folder / 'compare.json'}")
+    say(f"logs:    {folder}, one folder a controller")
     for fault in comparison.faults:
-        _errors.print(f"[bold red]ended early:[/] {escape(fault)}", soft_wrap=True)
+        errors.print(f"[bold red]ended early:[/] {escape(fault)}", soft_wrap=True)
     if comparison.faults:
         raise typer.Exit(6)
 
@@ -309,8 +303,8 @@ def bench(
     robot = None if blocks == "none" else blocks
     options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, robot)
     folder = output / "bench"
-    _make_folder(folder)
-    with _progress() as progress:
+    make_folder(folder)
+    with progress_bar() as progress:
         task = progress.add_task("", total=None)
         race, summary = run_bench(
             options,
@@ -324,23 +318,18 @@ def bench(
         for row in rows:
             table.add_row(*(row[i] for i in shown))
         table.columns[0].no_wrap = True
-        _console.print(table)
+        console.print(table)
     for name, ratio in summary["ratio_to_acados"].items():
-        _say(f"acados over aerotact, {name}: {ratio:.1f}")
+        say(f"acados over aerotact, {name}: {ratio:.1f}")
     for line in summary["skipped"]:
-        _say(line)
+        say(line)
     text = json.dumps(summary, indent=2) + "\n"
     figures = plot(race, summary, folder)
-    _write(folder / f"{summary['ocp']}.json", text)
+    write(folder / f"{summary['ocp']}.json", text)
     if json_file is not None:
-        _write(json_file, text)
-    _write(folder / f"{summary['ocp']}.md", page(summary, figures))
-    _say(f"page:    {folder / summary['ocp']}.md")
-
-
-def _progress() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=_console, transient=True)
+        write(json_file, text)
+    write(folder / f"{summary['ocp']}.md", page(summary, figures))
+    say(f"page:    {folder / summary['ocp']}.md")
 
 
 def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path) -> "Options":
@@ -356,7 +345,7 @@ def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path) ->
             raise InputError(f"--delay is '{delay}'; valid: seconds, or 'measured'") from error
         if not 0.0 <= late <= 1.0:
             raise InputError(f"--delay is {late:g} s; valid: 0 to 1 s")
-    _make_folder(folder)
+    make_folder(folder)
     return Options(robot, truth, late, folder)
 
 
@@ -365,35 +354,13 @@ def _picture(robot: str, folder: Path) -> Path | None:
     from aerotact.robot import load_robot
 
     if _OPENGL in _NO_OPENGL:
-        _say(f"no picture: MUJOCO_GL is '{_OPENGL}'")
+        say(f"no picture: MUJOCO_GL is '{_OPENGL}'")
         return None
     os.environ["MUJOCO_GL"] = _OPENGL
     loaded = load_robot(robot)
     picture = render(loaded, folder / f"{loaded.name}.png")
-    _say(f"picture: {picture.file}" if picture else picture.reason)
+    say(f"picture: {picture.file}" if picture else picture.reason)
     return picture.file if picture else None
-
-
-def _say(line: str) -> None:
-    """One line, whatever its length, as it is."""
-    _console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error}; valid: a folder that you own") from error
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"{folder}: cannot be written; valid: a folder that you own")
-
-
-def _write(file: Path, text: str) -> None:
-    _make_folder(file.parent)
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written: {error}; valid: a file in a folder that you own") from error
 
 
 if __name__ == "__main__":

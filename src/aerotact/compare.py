@@ -166,7 +166,9 @@ def _digits(value: float) -> str:
     """Four significant digits without an exponent for everyday sizes; 0 for what is nothing."""
     if value == 0.0:
         return "0"
-    return f"{value:.4g}" if 1e-4 <= abs(value) < 1e6 else f"{value:.1e}"
+    if not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.1e}"
+    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
 def _cell(statistic: Statistic | None, scale: float) -> str:
@@ -175,8 +177,11 @@ def _cell(statistic: Statistic | None, scale: float) -> str:
     mean, std = float(statistic["mean"]) * scale, float(statistic["std"] or 0.0) * scale
     if std < 1e-4 * abs(mean) or std == 0.0:
         return _digits(mean)
-    # Both to the place of the deviation's second digit.
-    places = max(0, 1 - int(np.floor(np.log10(std))))
+    # Both to the place of the deviation's second digit or of the mean's fifth.
+    places = 1 - int(np.floor(np.log10(std)))
+    if mean != 0.0:
+        places = min(places, 4 - int(np.floor(np.log10(abs(mean)))))
+    places = max(0, places)
     return f"{mean:.{places}f} ± {std:.{places}f}" if places < 6 else _digits(mean)
 
 
@@ -188,7 +193,7 @@ def comparison_table(comparison: Comparison) -> Table:
     early = len(comparison.faults)
     caption = f"{early} of {len(comparison.results)} runs ended early and are not in the means" if early else None
     title = f"{comparison.experiment}, {spread}"
-    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True)
     for i, name in enumerate(header):
         table.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:

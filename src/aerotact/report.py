@@ -15,7 +15,7 @@ h1 { font-size: 1.4em; } h2 { font-size: 1.1em; margin-top: 2em; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .25em .8em; border-bottom: 1px solid #ddd; text-align: right; }
 th:first-child, td:first-child { text-align: left; } tr:hover { background: #f6f8fa; }
-img { max-width: 100%; } dt { font-weight: 600; } .fault { color: #b00020; }
+img { max-width: 100%; max-height: 32em; } dt { font-weight: 600; } .fault { color: #b00020; }
 """
 
 

@@ -6,7 +6,7 @@ from aerotact.ports import Array, Layout
 
 
 def sample(layout: Layout, rng: np.random.Generator, spread: float = 1.0) -> Array:
-    """The layout's defaults, each number moved by up to `spread` and by up to half of itself; quaternions of length one."""
+    """The layout's defaults, each number moved by up to `spread` and half of itself; quaternions stay of length one."""
     flat = layout.default * rng.uniform(0.5, 1.5, layout.size) + spread * rng.uniform(-1.0, 1.0, layout.size)
     for port in layout:
         view = flat[layout.slice(port.name)].reshape(port.nodes, port.size)

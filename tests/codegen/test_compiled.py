@@ -1,4 +1,4 @@
-"""The compiled C of every law, estimator and problem equals CasADi's evaluation of the functions that it was written from."""
+"""The compiled C of every law, estimator and problem equals CasADi's evaluation of what it was written from."""
 
 from collections.abc import Callable
 from typing import Any
@@ -81,6 +81,8 @@ def test_mpc_equals_casadi(ocp: Ocp, mpc_c: CProject, native: Callable[[CProject
         "prepare": (targets.step, block_inputs(targets)),
         "linearise_terminal": (ocp.linearise_terminal, lambda: [state(), stage(), weights()]),
         "retract": (ocp.retract, lambda: [state(), rng.normal(size=model.tangent_size)]),
+        "difference": (ocp.difference, lambda: [state(), state()]),
+        "rest": (ocp.rest, lambda: [state()]),
         "command": (ocp.command, lambda: [state(), control()]),
         "limit": (limit_function(limiter), lambda: [state()[13:], rng.uniform(-5.0, 30.0, model.rotors)]),
         "fallback": (fallback.step, block_inputs(fallback)),

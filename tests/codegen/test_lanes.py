@@ -13,7 +13,8 @@ from sampling import sample
 from aerotact.codegen.build import FLAGS, compile_library
 from aerotact.codegen.lanes import Strided, emit_stages
 from aerotact.codegen.mpc_project import mpc_project
-from aerotact.codegen.project import CProject, templates
+from aerotact.codegen.project import CProject
+from aerotact.codegen.templating import templates
 from aerotact.exceptions import CodegenError
 from aerotact.mpc.ocp import Ocp
 from aerotact.ports import Array
@@ -58,6 +59,31 @@ def test_all_stages_equal_casadi(width: int, hexarotor_ocp: Ocp) -> None:
 
 def _strided(count: int) -> list[Strided]:
     return [Strided(f"a{i}", 1) for i in range(count)]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_sine_cosine_and_exponential_are_those_of_the_library(width: int, run_c: Callable[..., str]) -> None:
+    rng = np.random.default_rng(13)
+    angles = [rng.uniform(-s, s, 500) for s in (1e-3, 1.0, 10.0, 1e3, 1e5, 1e9)]
+    edges = [0.0, -0.0, np.pi / 4, np.pi / 2, np.pi, -3 * np.pi / 2, 1e-300, 699.0, -699.0, 705.0, -745.5, 1e300]
+    a = np.concatenate([*angles, edges])
+    a = np.concatenate([a, np.zeros(-len(a) % 8)])
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [ca.sin(x), ca.cos(x), ca.exp(x)])
+    stages = emit_stages(function, "f", [Strided("a", 1)], [Strided(n, 1) for n in ("s", "c", "e")])
+    header = templates().get_template("lanes.h.jinja").render(NAME="T", lane_functions=stages.math)
+    n, data = len(a), ", ".join(f"{v:.17g}" for v in a)
+    main = (
+        f"#include <stdio.h>\nstatic const double a[{n}] = {{{data}}};\n"
+        f"int main(void) {{ static double s[{n}], c[{n}], e[{n}]; int i; f({n}, a, s, c, e);"
+        f' for (i = 0; i < {n}; ++i) printf("%.17g %.17g %.17g\\n", s[i], c[i], e[i]); return 0; }}\n'
+    )
+    printed = run_c(f"{header}\nstatic {stages.source}\n{main}", f"-DAEROTACT_LANES={width}", "-Wno-psabi")
+    got = np.array([float(v) for v in printed.split()]).reshape(n, 3)
+    with np.errstate(over="ignore"):
+        expected = np.stack([np.sin(a), np.cos(a), np.exp(a)], axis=1)
+    np.testing.assert_allclose(got[:, :2], expected[:, :2], rtol=5e-16, atol=2e-16)
+    np.testing.assert_allclose(got[:, 2], expected[:, 2], rtol=5e-16)
 
 
 OPERATIONS: dict[str, Callable[[Any, Any], Any]] = {

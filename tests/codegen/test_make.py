@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import CProject
+from aerotact.mpc.ocp import Ocp
 
 # What a freestanding-minded library may ask of the C library.
 ALLOWED = {
@@ -58,8 +60,8 @@ def test_law_passes_ctest(tmp_path: Path, block_c: CProject) -> None:
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
-def test_mpc_passes_ctest(tmp_path: Path, mpc_c: CProject) -> None:
-    mpc_c.write(tmp_path)
+def test_mpc_passes_ctest(tmp_path: Path, hexarotor_ocp: Ocp) -> None:
+    mpc_project(hexarotor_ocp).write(tmp_path)
     _run(tmp_path, "cmake", "-B", "build", "-S", ".", "-DCMAKE_BUILD_TYPE=Debug")
     _run(tmp_path, "cmake", "--build", "build")
     assert "100% tests passed" in _run(tmp_path, "ctest", "--test-dir", "build")

@@ -1,4 +1,4 @@
-"""Generated projects: the same bytes every time, no trace of place or time, and what write() replaces or leaves alone."""
+"""Generated projects: the same bytes every time, no trace of place or time, and what write() replaces."""
 
 import hashlib
 import json
@@ -14,6 +14,7 @@ import pytest
 from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import CProject, block_project
 from aerotact.dynamics.model import Model
+from aerotact.estimation import estimators
 from aerotact.exceptions import CodegenError
 from aerotact.laws import laws
 from aerotact.mpc.ocp import Ocp, load_ocp
@@ -28,7 +29,8 @@ from aerotact.laws import laws
 from aerotact.mpc.ocp import load_ocp
 from aerotact.robot import load_robot
 model = Model(load_robot(sys.argv[1]))
-projects = [block_project(laws()["ryll2019_admittance"](model, 500.0), model), mpc_project(load_ocp(sys.argv[2], model))]
+law = laws()["ryll2019_admittance"](model, 500.0)
+projects = [block_project(law, model), mpc_project(load_ocp(sys.argv[2], model))]
 for project in projects:
     for path, text in project.files.items():
         print(project.name, path, hashlib.sha256(text.encode()).hexdigest())
@@ -45,14 +47,8 @@ def _hashes(model: Model, ocp: Ocp) -> list[str]:
 
 
 def test_generating_again_gives_the_same_bytes(block: object, block_c: CProject, model: Model) -> None:
-    maker = {**laws(), **_estimators()}[block_c.name]
+    maker = {**laws(), **estimators()}[block_c.name]
     assert dict(block_project(maker(model, 500.0), model).files) == dict(block_c.files)
-
-
-def _estimators() -> dict[str, object]:
-    from aerotact.estimation import estimators
-
-    return estimators()
 
 
 @pytest.mark.parametrize("seed", ["0", "4242"])

@@ -30,23 +30,40 @@ class Inspected(Controller):
             **{"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)},
             **{"qp_solution.x": (N + 1, ndx), "qp_solution.u": (N, nu)},
         }
-        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{field};" for i, field in enumerate(shapes))
+        of_rti = ("x", "u", "stage")  # the iteration's own; the rest is the controller's
+        places = [f"rti.{f}" if f in of_rti or f.startswith("qp_") else f for f in shapes]
+        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{place};" for i, place in enumerate(places))
         source = (
             f'#include "{name}.h"\n'
             f"double *{name}_field(void *workspace, int field);\n"
-            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations);\n"
+            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations,\n"
+            f"    double deadline);\n"
             f"double *{name}_field(void *workspace, int field)\n{{\n    {name}_workspace *w = workspace;\n"
             f"    switch (field) {{\n{cases}\n    }}\n    return NULL;\n}}\n"
-            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations)\n{{\n"
+            "static double now;\n\nstatic double clock_of_calls(void *context)\n{\n"
+            "    *(double *)context += 1.0;\n    return *(double *)context;\n}\n"
+            f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations,\n"
+            f"    double deadline)\n{{\n"
             f"    {name}_workspace *w = workspace;\n    w->settings.max_failures = max_failures;\n"
-            f"    w->settings.startup_iterations = startup_iterations;\n    w->settings.iterations = iterations;\n}}\n"
+            f"    w->settings.startup_iterations = startup_iterations;\n    w->settings.iterations = iterations;\n"
+            f"    w->settings.clock = deadline > 0.0 ? clock_of_calls : NULL;\n    w->settings.clock_context = &now;\n"
+            f"    w->settings.deadline = deadline;\n}}\n"
         )
-        extra = f"src/{name}_inspection.c"
-        super().__init__(CProject(name, {**project.files, extra: source}, (*project.sources, extra)))
+        source += f"int {name}_broken;\n"
+        extra, rti = f"src/{name}_inspection.c", f"src/{name}_rti.c"
+        solve = f"{name}_qp_feedback("
+        breakable = f"{name}_broken ? {name.upper()}_QP_NUMERICAL : {solve}"
+        assert project.files[rti].count(solve) == 1
+        injected = f"extern int {name}_broken;\n" + project.files[rti].replace(solve, breakable)
+        super().__init__(CProject(name, {**project.files, extra: source, rti: injected}, (*project.sources, extra)))
         ffi = cffi.FFI()
-        ffi.cdef(f"double *{name}_field(void *, int); void {name}_configure(void *, int, int, int);")
+        ffi.cdef(
+            f"double *{name}_field(void *, int); void {name}_configure(void *, int, int, int, double); int {name}_broken;"
+        )
         library: Any = ffi.dlopen(str(self.library))
         workspace = ffi.cast("void *", self._workspace.ctypes.data)
+        self._inspection, self._broken = library, f"{name}_broken"
+        self.break_solver(False)  # the library may be loaded already
         self._configure = lambda *settings: getattr(library, f"{name}_configure")(workspace, *settings)
         self.fields: dict[str, Array] = {}
         for i, (field, shape) in enumerate(shapes.items()):
@@ -54,9 +71,15 @@ class Inspected(Controller):
             memory = ffi.buffer(address, 8 * int(np.prod(shape)))
             self.fields[field.removeprefix("qp_data.")] = np.frombuffer(memory).reshape(shape)
 
-    def configure(self, *, max_failures: int = 5, startup_iterations: int = 5, iterations: int = 1) -> None:
-        """Change the settings of the workspace."""
-        self._configure(max_failures, startup_iterations, iterations)
+    def configure(
+        self, *, max_failures: int = 5, startup_iterations: int = 5, iterations: int = 1, deadline: float = 0.0
+    ) -> None:
+        """Change the settings of the workspace; with a `deadline`, a clock that advances by one with every call."""
+        self._configure(max_failures, startup_iterations, iterations, deadline)
+
+    def break_solver(self, broken: bool) -> None:
+        """Let every quadratic programme end as NUMERICAL, or no longer."""
+        setattr(self._inspection, self._broken, int(broken))
 
     def hover(self, ocp: Ocp) -> None:
         """Measurements of the robot at rest in its hover keyframe."""

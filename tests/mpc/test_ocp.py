@@ -43,7 +43,8 @@ class Point:
         ndx, nu = ocp.model.tangent_size, ocp.model.control.size
         shapes = [(ndx, ndx), (ndx, nu), (ndx,), (ndx, ndx), (nu, ndx), (nu, nu), (ndx,), (nu,)]
         values = ocp.linearise(self.x, self.u, self.x_next, self.stage, self.parameters, self.h, self.gain)
-        return {n: v.full().reshape(s) for n, v, s in zip("A B b Q S R q r".split(), values, shapes, strict=True)}
+        names = ("A", "B", "b", "Q", "S", "R", "q", "r")
+        return {n: v.full().reshape(s) for n, v, s in zip(names, values, shapes, strict=True)}
 
 
 def _difference(function: Any, size: int) -> Array:

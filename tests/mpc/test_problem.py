@@ -15,13 +15,29 @@ from aerotact.mpc.problem import load_problem
 
 TIMES = "times = [0.0, 0.01, 0.02]"
 FAULTS = {
-    "unknown residual": ("[residuals.rate]", "[residuals.jerk]", r"residuals: unknown 'jerk'; valid: admittance, .*twist"),
-    "unknown term": ("angular = 1.0", "spin = 1.0", r"residuals\.admittance\.weight\.spin: .*valid: position, attitude"),
-    "unknown constraint": ("[constraints]\n", '[constraints]\ntilt = "hard"\n', r"constraints: unknown 'tilt'; valid: th"),
+    "unknown residual": (
+        "[residuals.rate]",
+        "[residuals.jerk]",
+        r"residuals: unknown 'jerk'; valid: admittance, .*twist",
+    ),
+    "unknown term": (
+        "angular = 1.0",
+        "spin = 1.0",
+        r"residuals\.admittance\.weight\.spin: .*valid: position, attitude",
+    ),
+    "unknown constraint": (
+        "[constraints]\n",
+        '[constraints]\ntilt = "hard"\n',
+        r"constraints: unknown 'tilt'; valid: th",
+    ),
     "soft constraint": ('thrust = "hard"', 'thrust = "soft"', r"constraints\.thrust: .*'hard' \(got 'soft'\)"),
     "unknown fallback": ('"ryll2019_admittance" ', '"pid" ', r"problem\.fallback: unknown 'pid'; valid: ryll2019_adm"),
     "unknown need": ('"tool"]', '"wings"]', r"problem\.needs: unknown \['wings'\]; valid: six_axis_wrench, tool"),
-    "unknown key": ("max_failures = 5", "max_faults = 5", r"problem\.max_faults: Extra .*valid: doc, duration, fallback"),
+    "unknown key": (
+        "max_failures = 5",
+        "max_faults = 5",
+        r"problem\.max_faults: Extra .*valid: doc, duration, fallback",
+    ),
     "unknown table": ("[solver]", "[solvers]", r"solvers: Extra .*valid: constraints, parameters, problem, residuals"),
     "unknown solver key": ("backend =", "engine =", r"solver\.engine: Extra .*valid: backend, iterations"),
     "unknown residual key": ("weight = 1e-3", "wait = 1e-3", r"residuals\.thrust\.w(ait|eight): "),
@@ -30,10 +46,26 @@ FAULTS = {
     "negative term": ("angular = 1.0", "angular = -1.0", r"residuals\.admittance\.weight.*angular"),
     "weight that is no number": ("weight = 1e-3", "weight = nan", r"residuals\.thrust\.weight: .*\(got nan\)"),
     "endless weight": ("weight = 1e-3", "weight = inf", r"residuals\.thrust\.weight: .*\(got inf\)"),
-    "weights of another size": ("position = 400.0", "position = [1.0, 2.0]", r"weight\.position: has 2 numbers; give one, or 3"),
-    "weight as parameter": ("[parameters]", "[parameters]\nweight_rate = -1.0", r"parameters\.weight_rate: is a weight"),
-    "unknown parameter": ("[parameters]", "[parameters]\nmass = 1.0", r"parameters: unknown port 'mass'; valid: .*M_EP"),
-    "parameter of another size": ("M_EP = 1.5", "M_EP = [1.5, 1.5]", r"parameters: port M_EP: 2 numbers given; valid: 3"),
+    "weights of another size": (
+        "position = 400.0",
+        "position = [1.0, 2.0]",
+        r"weight\.position: has 2 numbers; give one, or 3",
+    ),
+    "weight as parameter": (
+        "[parameters]",
+        "[parameters]\nweight_rate = -1.0",
+        r"parameters\.weight_rate: is a weight",
+    ),
+    "unknown parameter": (
+        "[parameters]",
+        "[parameters]\nmass = 1.0",
+        r"parameters: unknown port 'mass'; valid: .*M_EP",
+    ),
+    "parameter of another size": (
+        "M_EP = 1.5",
+        "M_EP = [1.5, 1.5]",
+        r"parameters: port M_EP: 2 numbers given; valid: 3",
+    ),
     "parameter that is no number": ("M_EP = 1.5", "M_EP = nan", r"parameters\.M_EP.*: .*\(got nan\)"),
     "no rate": ("rate = 100.0", "rate = 0.0", r"problem\.rate: .*greater than 0"),
     "endless rate": ("rate = 100.0", "rate = inf", r"problem\.rate: .*\(got inf\)"),
@@ -48,7 +80,10 @@ GRIDS = {
     "standing times": ("times = [0.0, 0.01, 0.01]", "times must start at 0 and increase"),
     "time that is no number": ("times = [0.0, 0.01, nan]", r"problem\.times\.2: .*\(got nan\)"),
     "endless time": ("times = [0.0, 0.01, inf]", r"problem\.times\.2: .*\(got inf\)"),
-    "first interval too long": ("times = [0.0, 0.02, 0.03]", r"first interval is 0\.02 s; it must be one period, 0\.01 s"),
+    "first interval too long": (
+        "times = [0.0, 0.02, 0.03]",
+        r"first interval is 0\.02 s; it must be one period, 0\.01 s",
+    ),
     "no intervals": ("steps = 0\nduration = 1.0", r"problem\.steps: .*greater than 0"),
     "no duration": ("steps = 10\nduration = 0.0", r"problem\.duration: .*greater than 0"),
     "endless duration": ("steps = 10\nduration = inf", r"problem\.duration: .*\(got inf\)"),
@@ -120,7 +155,9 @@ def test_robot_without_a_tool_is_told_what_it_lacks(tmp_path: Path, hexarotor: M
     bare = Model(replace(robot, has_tool=False))
     path = tmp_path / "problem.toml"
     path.write_text(problem_text)
-    with pytest.raises(MissingCapability, match=r"problem 'problem' needs tool, which robot 'tilt_hex' .*it has: six_axis"):
+    with pytest.raises(
+        MissingCapability, match=r"problem 'problem' needs tool, which robot 'tilt_hex' .*it has: six_axis"
+    ):
         load_ocp(path, bare)
 
 

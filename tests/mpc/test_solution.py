@@ -1,4 +1,4 @@
-"""The compiled real-time iteration, iterated to convergence, finds what IPOPT finds; its quadratic programme is solved."""
+"""The compiled real-time iteration, iterated to convergence, finds what IPOPT finds; its programmes are solved."""
 
 from dataclasses import dataclass
 
@@ -27,8 +27,8 @@ class Case:
 
 CASES = {
     "no bound": Case((0.002, -0.001, 0.001), (0.0, 0.0, 0.0), 0.002, False, False),
-    "rates": Case((0.05, -0.05, 0.02), (0.1, 0.0, -0.1), 0.05, False, True),
-    "rates and thrusts": Case((0.6, -0.5, 0.8), (0.5, 0.2, 1.0), 0.3, True, True),
+    "rates": Case((0.02, -0.02, 0.01), (0.0, 0.0, 0.0), 0.02, False, True),
+    "rates and thrusts": Case((0.3, -0.25, 0.4), (0.3, 0.1, 0.5), 0.15, True, True),
 }
 
 
@@ -101,9 +101,7 @@ def test_converged_iteration_equals_ipopt(ocp: Ocp, mpc: Inspected, name: str) -
 def _cost(ocp: Ocp, mpc: Inspected) -> float:
     x, u, stage = (mpc.fields[n] for n in ("plan_x", "plan_u", "stage"))
     parameters = ocp.targets.block.parameters.default
-    running = sum(
-        float(ocp.cost(x[k], u[k], stage[k], parameters, h)) for k, h in enumerate(np.diff(ocp.times))
-    )
+    running = sum(float(ocp.cost(x[k], u[k], stage[k], parameters, h)) for k, h in enumerate(np.diff(ocp.times)))
     return running + float(ocp.terminal_cost(x[-1], stage[-1], parameters))
 
 
@@ -141,12 +139,31 @@ def test_quadratic_programme_is_solved(ocp: Ocp, mpc: Inspected, name: str) -> N
         if k == N - 1:
             H[ahead, ahead], g[ahead] = f["Q"][N], f["q"][N]
     H = (H + H.T) / 2
-    programme = {"h": ca.DM(H).sparsity(), "a": ca.sparsify(ca.DM(A)).sparsity()}
+    H, A = ca.sparsify(ca.DM(H)), ca.sparsify(ca.DM(A))
+    programme = {"h": H.sparsity(), "a": A.sparsity()}
     quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
     solver = ca.conic("other", "nlpsol", programme, {"nlpsol": "ipopt", "nlpsol_options": quiet})
-    found = solver(h=H, g=g, a=ca.sparsify(ca.DM(A)), lba=b, uba=b, lbx=lower, ubx=upper)
+    found = solver(h=H, g=g, a=A, lba=b, uba=b, lbx=lower, ubx=upper)
     assert solver.stats()["success"]
     ours = np.concatenate([f["qp_solution.x"][1:].ravel(), f["qp_solution.u"].ravel()])
-    assert float(found["cost"]) == pytest.approx(ours @ H @ ours / 2 + g @ ours, rel=1e-6)
+    assert float(found["cost"]) == pytest.approx(float(ca.bilin(H, ours, ours)) / 2 + g @ ours, rel=1e-6)
     first = slice(N * ndx, N * ndx + nu)
     np.testing.assert_allclose(f["qp_solution.u"][0], found["x"].full().ravel()[first], atol=1e-3)
+
+
+def test_programme_is_casadis_linearisation_of_every_stage(ocp: Ocp, mpc: Inspected) -> None:
+    _start(mpc, ocp, CASES["rates and thrusts"])
+    mpc.configure(startup_iterations=1)
+    assert mpc.step() is Status.OK
+    f = mpc.fields
+    # a cold start stays where the robot is, at rest, under the thrusts of now
+    x = np.tile(f["plan_x"][0], (ocp.steps + 1, 1))
+    x[1:, 7:13] = 0.0
+    parameters = ocp.targets.block.parameters.default
+    for k, h in enumerate(np.diff(ocp.times)):
+        expected = ocp.linearise(x[k], np.zeros(ocp.model.rotors), x[k + 1], f["stage"][k], parameters, h, ocp.gains[k])
+        for name, value in zip(("A", "B", "b", "Q", "S", "R", "q", "r"), expected, strict=True):
+            np.testing.assert_allclose(f[name][k].ravel(), value.full().ravel(), rtol=1e-10, atol=1e-12, err_msg=name)
+    Q, q = (v.full().ravel() for v in ocp.linearise_terminal(x[-1], f["stage"][-1], parameters))
+    np.testing.assert_allclose(f["Q"][-1].ravel(), Q, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(f["q"][-1], q, rtol=1e-10, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Targets: the predicted virtual mass-spring-damper, its memory from step to step, and the thrust that holds a target."""
+"""Targets: the predicted virtual mass-spring-damper, its memory, and the thrust that holds a target."""
 
 import casadi as ca
 import numpy as np
@@ -16,7 +16,9 @@ DEAD = 0.2  # N and N m, the dead zones of the problem
 class Prepared:
     """The targets of one step, unpacked."""
 
-    def __init__(self, ocp: Ocp, measured: dict[str, Array], wanted: dict[str, Array], state: Array | None = None) -> None:
+    def __init__(
+        self, ocp: Ocp, measured: dict[str, Array], wanted: dict[str, Array], state: Array | None = None
+    ) -> None:
         block = ocp.targets.block
         z = block.state.default if state is None else state
         y, r = block.measurement.pack(measured), block.reference.pack(wanted)

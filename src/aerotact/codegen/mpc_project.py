@@ -74,6 +74,7 @@ def _context(ocp: Ocp) -> dict[str, Any]:
         "max_failures": ocp.file.problem.max_failures,
         "iterations": ocp.file.solver.iterations,
         "startup_iterations": ocp.file.solver.startup_iterations,
+        "shift": ocp.file.solver.shift,
         "deadline": number(NO_DEADLINE),
         "fallback_state_size": fallback.state.size,
         "fallback_state": numbers(fallback.state.default),

@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from aerotact.codegen.backends import QpDimensions, find_backend
+from aerotact.codegen.backends import find_backend
 from aerotact.codegen.functions import number
 from aerotact.codegen.lanes import Strided, emit_stages
+from aerotact.codegen.qp_structure import FREE, ONE, ZERO, QpPattern
 from aerotact.codegen.templating import templates
 from aerotact.mpc.transcription import Transcription
 from aerotact.ports import Array
@@ -82,14 +84,13 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     def render(template: str, **more: Any) -> str:
         return environment.get_template(template).render(known, **more)
 
-    # The changes have one coordinate fewer than the states, all of them before the plain ones that can be bounded.
-    dimensions = QpDimensions(n, m, transcription.steps, tuple(i - (s.nx - n) for i in bounds.states))
+    pattern = _pattern(transcription, stages.constants)
     files = {
         f"include/{name}_rti.h": render("rti.h.jinja"),
         f"src/{name}_rti.c": render("rti.c.jinja"),
         f"src/{name}_lanes.h": render("lanes.h.jinja", lane_functions=stages.math),
         f"src/{name}_stages.c": render("stages.c.jinja", source=stages.source),
-        **solve(name, dimensions),
+        **solve(name, pattern),
     }
     functions: list[FunctionRow] = [
         (transcription.linearise_terminal, f"{name}_linearise_terminal", ["x", "stage", "p"], ["Q", "q"]),
@@ -99,6 +100,30 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         (transcription.command, f"{name}_command", ["x", "u"], ["command"]),
     ]
     return RtiSources(files, functions, [stages.signature], context)
+
+
+def _pattern(transcription: Transcription, constants: dict[str, dict[int, float]]) -> QpPattern:
+    """Sparsity of the quadratic programme: what is the same constant in every stage is zero, one, or data."""
+    s = transcription.statement
+    shapes = {"A": (s.ndx, s.ndx), "B": (s.ndx, s.nu), "Q": (s.ndx, s.ndx), "R": (s.nu, s.nu), "S": (s.nu, s.ndx)}
+    grids = {}
+    for name, (rows, columns) in shapes.items():
+        grid = np.full(rows * columns, FREE)
+        for entry, value in constants[name].items():
+            grid[entry] = ZERO if value == 0.0 else ONE if value == 1.0 else FREE
+        grids[name] = grid.reshape(rows, columns)
+    # The last stage has a Hessian of its own.
+    grids["Q"] = np.maximum(grids["Q"], np.ravel(_last_hessian(transcription)).reshape(s.ndx, s.ndx))
+    # The changes have one coordinate fewer than the states, all of them before the plain ones that can be bounded.
+    bounded = tuple(i - (s.nx - s.ndx) for i in s.bounds.states)
+    return QpPattern(s.ndx, s.nu, transcription.steps, bounded, **{name: grid.tolist() for name, grid in grids.items()})
+
+
+def _last_hessian(transcription: Transcription) -> Array:
+    """1 where the Hessian of the last stage is not the constant zero."""
+    function = transcription.linearise_terminal
+    symbols = [ca.SX.sym(f"i{n}", function.size1_in(n)) for n in range(function.n_in())]
+    return ca.DM(ca.sparsify(function(*symbols)[0]).sparsity(), 1).full()
 
 
 def numbers(values: Array) -> list[str]:

@@ -113,11 +113,11 @@ class PropertyShaping:
         last, judged = log.window(PULL_STOP - 1.0, PULL_STOP), log.window(*case.judged)
         fresh = log.stepped(judged)
         return {
+            "ideal_rmse": Metric(rmse((x_tool - x_ideal)[judged]), "m"),
             f"steady_{case.name}": Metric(float(x_tool[last].mean()), "m"),
             f"expected_{case.name}": Metric((PULL - DEAD_ZONE) / _scalar(case, "K_EP"), "m"),
             f"reference_gap_{case.name}": Metric(float(np.abs(x_reference - x_ideal)[fresh].max()), "m"),
             f"ideal_rmse_{case.name}": Metric(rmse((x_tool - x_ideal)[judged]), "m"),
-            "ideal_rmse": Metric(rmse((x_tool - x_ideal)[judged]), "m"),
         }
 
     def plot(self, runs: Mapping[tuple[str, str], Mapping[str, Array]], folder: Path) -> list[Path]:
@@ -281,12 +281,12 @@ class FreeFlight:
             for axis, style in enumerate(styles.values()):
                 axes[0, 0].plot(time, log["p_WE"][:, axis], color=colour, ls=style)
             lines.append(Line2D([], [], color=colour, label=controller))
-            axes[0, 1].plot(time, np.linalg.norm(log["v_WE"], axis=1), color=colour, label=controller)
-            axes[1, 0].plot(time, 1e3 * e_p, color=colour, label=controller)
-            axes[1, 1].plot(time, e_R / _DEGREE, color=colour, label=controller)
+            axes[0, 1].plot(time, np.linalg.norm(log["v_WE"], axis=1), color=colour)
+            axes[1, 0].plot(time, 1e3 * e_p, color=colour)
+            axes[1, 1].plot(time, e_R / _DEGREE, color=colour)
         axes[1, 0].axhline(20, color="k", ls=":", lw=1)
         label(axes[0, 0], "tool position", "position in m", legend=lines)
-        axes[0, 0].set_xlim(right=1.25 * END_OF_TOUR)
+        axes[0, 0].set_xlim(right=1.5 * END_OF_TOUR)  # room for the legend of all panels
         label(axes[0, 1], "tool speed", "speed in m/s")
         label(axes[1, 0], "distance of the tool to the desired position", "error in mm")
         label(axes[1, 1], "angle to the desired attitude", "error in degrees")

@@ -127,6 +127,10 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
 
 
 def _check_fallback(path: Path, fallback: Block, block: Block) -> None:
+    if fallback.limiter is None:
+        raise ProblemError(
+            path, "problem.fallback", f"'{fallback.name}' commands no thrust", "choose a law whose output is thrust_cmd"
+        )
     for group in ("measurement", "reference"):
         missing = [p.name for p in getattr(fallback, group) if p.name not in getattr(block, group)]
         if missing:

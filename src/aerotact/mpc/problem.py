@@ -75,6 +75,7 @@ class SolverEntry(_Strict):
     backend: str = "aerotact"
     levenberg_marquardt: float = Field(default=1e-6, ge=0)
     iterations: int = Field(default=1, ge=1)
+    shift: bool = False
     startup_iterations: int = Field(default=5, ge=1)
 
 
