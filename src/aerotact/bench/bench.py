@@ -1,15 +1,16 @@
 """Bench: the whole benchmark of one problem: record, race, growth, small blocks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from aerotact.bench.blocks import time_blocks
 from aerotact.bench.machine import describe_machine
+from aerotact.bench.peers.acados_peer import AcadosPeer, Setting
 from aerotact.bench.problems import Problem, make_problem
-from aerotact.bench.run import Progress, Race, make_peers, race
+from aerotact.bench.run import Progress, Race, make_peers, qualify, race
 from aerotact.bench.scenario import record
 from aerotact.bench.summary import exponent, summarise
 from aerotact.dynamics.model import Model
@@ -46,7 +47,7 @@ def run_bench(options: Options, progress: Progress = lambda done, total, what: N
     machine = describe_machine()
     problem = make_problem(options.ocp)
     result = _race(problem, options.samples, options, options.only, progress)
-    growth = _growth(options, progress)
+    growth = _growth(options, result, progress)
     blocks: dict[str, Any] = {}
     if options.blocks is not None:
         progress(0, 1, "laws and estimators")
@@ -54,14 +55,22 @@ def run_bench(options: Options, progress: Progress = lambda done, total, what: N
     return result, summarise(result, machine, growth, blocks)
 
 
-def _race(problem: Problem, count: int, options: Options, only: Sequence[str] | None, progress: Progress) -> Race:
+def _race(
+    problem: Problem,
+    count: int,
+    options: Options,
+    only: Sequence[str] | None,
+    progress: Progress,
+    acados: Sequence[Setting] | None = None,
+) -> Race:
     progress(0, 1, "building")
-    peers, skipped = make_peers(problem, only)
+    peers, skipped = make_peers(problem, only, acados)
     samples = record(problem, count, options.seed, lambda done: progress(done, count, "recording"))
-    return race(problem, samples, peers, options.passes, skipped, progress)
+    peers, times = qualify(samples, peers, progress)
+    return race(problem, samples, peers, options.passes, skipped, times, progress)
 
 
-def _growth(options: Options, progress: Progress) -> dict[str, Any]:
+def _growth(options: Options, first: Race, progress: Progress) -> dict[str, Any]:
     """Medians over the horizon for the generated solver and acados."""
     steps = sorted(set(options.horizons))
     if not steps:
@@ -70,7 +79,7 @@ def _growth(options: Options, progress: Progress) -> dict[str, Any]:
     medians: dict[str, list[float]] = {}
     for n in steps:
         count = min(options.samples, GROWTH_SAMPLES)
-        result = _race(make_problem(options.ocp, n), count, options, only, progress)
+        result = _race(make_problem(options.ocp, n), count, options, only, progress, _scaled(first, n))
         best = result.best_acados
         for name, found in (("aerotact", result.records.get("aerotact")), ("acados", best)):
             if found is not None:
@@ -80,3 +89,13 @@ def _growth(options: Options, progress: Progress) -> dict[str, Any]:
         "samples": min(options.samples, GROWTH_SAMPLES),
         "solvers": {name: {"p50_us": v, "exponent": exponent(steps, v)} for name, v in medians.items()},
     }
+
+
+def _scaled(first: Race, steps: int) -> list[Setting] | None:
+    """acados' best setting, its number of blocks scaled with the horizon."""
+    best = first.best_acados
+    if best is None or not isinstance(best.peer, AcadosPeer):
+        return None
+    setting = best.peer.setting
+    blocks = max(round(setting.condensed * steps / first.problem.transcription.steps), 1)
+    return [replace(setting, condensed=blocks)]

@@ -9,6 +9,7 @@ import numpy as np
 from aerotact.bench.run import Race
 from aerotact.plots import COLOURS, label, panels, save
 
+PERCENTILES = ("p50", "p99", "max")
 Rows = Sequence[Sequence[str]]
 
 
@@ -106,7 +107,7 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
         parts.append(
             "acados' best setting over aerotact: "
             + ", ".join(f"{key} {value:.1f}" for key, value in ratios.items())
-            + '. "acados" is the setting with the smallest median; the others are listed with theirs.'
+            + '. "acados" is the form and setting with the smallest median.'
         )
     parts += [
         "## Accuracy",
@@ -123,6 +124,17 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
             "What one exact iteration leaves undone, the difference of its first control to that of the converged "
             f"nonlinear programme (IPOPT): median {left['p50']:.1e}, max {left['max']:.1e} of the range."
         )
+    if summary["acados_settings"]:
+        rows = [
+            [name, *(_microseconds(s[f"{k}_us"]) for k in PERCENTILES)]
+            for name, s in summary["acados_settings"].items()
+        ]
+        parts += [
+            "## Settings of acados",
+            "Form of the problem / intervals after partial condensing; the mode of HPIPM is SPEED if not named. us on the "
+            "first samples, these settings by turns. The fastest of each form races.",
+            table(["setting", *PERCENTILES], rows),
+        ]
     parts += ["## Phases", "p50 / p99 / max, us (samples).", table(*_phase_rows(summary))]
     if summary["growth"]:
         parts += [

@@ -7,13 +7,13 @@ they were are kept beside ("raw"). Accuracy is judged in a pass of its own that 
 """
 
 import resource
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
-from aerotact.bench.peers.acados_peer import AcadosPeer, acados_template, settings
+from aerotact.bench.peers.acados_peer import FORMS, AcadosPeer, Setting, acados_template, settings
 from aerotact.bench.peers.aerotact_peer import AerotactPeer
 from aerotact.bench.peers.casadi_peer import CasadiPeer, error_of_one_iteration
 from aerotact.bench.peers.osqp_peer import OsqpPeer
@@ -26,6 +26,7 @@ from aerotact.ports import Array
 
 KINDS = ("aerotact", "acados", "osqp", "casadi", "ipopt")
 WARM_UP = 10
+QUALIFYING = 100
 Progress = Callable[[int, int, str], None]
 """(done, total, what)."""
 
@@ -85,6 +86,7 @@ class Race:
         passes: timed ones.
         records: by the peer's name.
         skipped: one line for each peer that could not race.
+        qualified: microseconds of each acados setting on the first samples.
     """
 
     problem: Problem
@@ -92,6 +94,7 @@ class Race:
     passes: int
     records: dict[str, Record]
     skipped: tuple[str, ...]
+    qualified: dict[str, Array] = field(default_factory=dict)
 
     @property
     def best_acados(self) -> Record | None:
@@ -100,19 +103,24 @@ class Race:
         return min(found, key=lambda r: float(np.median(r.quiet)), default=None)
 
 
-def make_peers(problem: Problem, only: Sequence[str] | None = None) -> tuple[list[Peer], list[str]]:
+def make_peers(
+    problem: Problem, only: Sequence[str] | None = None, acados: Sequence[Setting] | None = None
+) -> tuple[list[Peer], list[str]]:
     """Peers that are here, and a line for each that is not.
 
     Args:
         problem: what they solve.
         only: of KINDS; all if None.
+        acados: settings to try; those of `settings` if None.
     """
     makers: list[tuple[str, Callable[[], Peer]]] = [("aerotact", lambda: AerotactPeer(problem))]
     skipped = []
     try:
         if only is None or "acados" in only:
             acados_template()
-            makers += [("acados", partial(AcadosPeer, problem, s)) for s in settings(problem.transcription.steps)]
+            makers += [
+                ("acados", partial(AcadosPeer, problem, s)) for s in acados or settings(problem.transcription.steps)
+            ]
     except Absent as absent:
         skipped.append(str(absent))
     makers += [
@@ -140,26 +148,44 @@ def race(
     peers: Sequence[Peer],
     passes: int = 3,
     skipped: Sequence[str] = (),
+    qualified: Mapping[str, Array] | None = None,
     progress: Progress = lambda done, total, what: None,
 ) -> Race:
-    """Time every peer on every sample (the slow ones on some), then judge accuracy."""
-    rows: dict[str, list[list[tuple[Answer, bool]]]] = {p.name: [] for p in peers}
-    for number in range(passes):
-        if number == 0:
-            _warm_up(peers, samples)
-        report = partial(_report, progress, len(samples), f"pass {number + 1}")
-        turn = _one_pass(peers, samples, number == 0, report)
-        for name, answers in turn.items():
-            if answers:
-                rows[name].append(answers)
-    records = {p.name: _record(p, np.arange(0, len(samples), p.every), rows[p.name]) for p in peers}
-    result = Race(problem, samples, passes, records, tuple(skipped))
-    judged = [r for r in records.values() if not isinstance(r.peer, AcadosPeer)]
-    judged += _best_of_each_form(records)
-    for count, record in enumerate(judged):
-        progress(count, len(judged), f"accuracy of {record.peer.name}")
+    """Time every peer on every sample, the slow ones on some and after the others; then judge accuracy."""
+    records = _time(samples, [p for p in peers if p.every == 1], passes, progress)
+    records |= _time(samples, [p for p in peers if p.every > 1], 1, progress)
+    for count, record in enumerate(records.values()):
+        progress(count, len(records), f"accuracy of {record.peer.name}")
         _judge(problem, samples, record)
-    return result
+    return Race(problem, samples, passes, records, tuple(skipped), dict(qualified or {}))
+
+
+def qualify(
+    samples: Sequence[Sample], peers: Sequence[Peer], progress: Progress = lambda done, total, what: None
+) -> tuple[list[Peer], dict[str, Array]]:
+    """Leave acados' fastest setting of each form, so that the others do not fill the caches of the race.
+
+    Returns:
+        The peers that race, and the microseconds (n,) of every setting that was tried.
+    """
+    tried = [p for p in peers if isinstance(p, AcadosPeer)]
+    if len({p.form for p in tried}) < len(FORMS):
+        return list(peers), {}
+    records = _time(samples[:QUALIFYING], tried, 3, progress)
+    times = {name: record.quiet for name, record in records.items()}
+    best = {form: min((p for p in tried if p.form == form), key=lambda p: np.median(times[p.name])) for form in FORMS}
+    return [p for p in peers if not isinstance(p, AcadosPeer) or p is best[p.form]], times
+
+
+def _time(samples: Sequence[Sample], peers: Sequence[Peer], passes: int, progress: Progress) -> dict[str, Record]:
+    """Records without accuracy."""
+    rows: dict[str, list[list[tuple[Answer, bool]]]] = {p.name: [] for p in peers}
+    _warm_up(peers, samples)
+    for number in range(passes if peers else 0):
+        report = partial(_report, progress, len(samples), f"pass {number + 1}")
+        for name, answers in _one_pass(peers, samples, report).items():
+            rows[name].append(answers)
+    return {p.name: _record(p, np.arange(0, len(samples), p.every), rows[p.name]) for p in peers}
 
 
 def _report(progress: Progress, total: int, what: str, done: int) -> None:
@@ -174,7 +200,7 @@ def _warm_up(peers: Sequence[Peer], samples: Sequence[Sample]) -> None:
 
 
 def _one_pass(
-    peers: Sequence[Peer], samples: Sequence[Sample], slow_too: bool, progress: Callable[[int], None]
+    peers: Sequence[Peer], samples: Sequence[Sample], progress: Callable[[int], None]
 ) -> dict[str, list[tuple[Answer, bool]]]:
     """Answers of every peer, and whether the system took the processor away meanwhile."""
     answers: dict[str, list[tuple[Answer, bool]]] = {p.name: [] for p in peers}
@@ -183,7 +209,7 @@ def _one_pass(
     for i, sample in enumerate(samples):
         for turn in range(len(peers)):
             peer = peers[(turn + i) % len(peers)]
-            if i % peer.every == 0 and (peer.every == 1 or slow_too):
+            if i % peer.every == 0:
                 before = _interruptions()
                 answer = peer.solve(sample, full=False)
                 answers[peer.name].append((answer, _interruptions() != before))
@@ -211,17 +237,6 @@ def _record(peer: Peer, index: Array, rows: list[list[tuple[Answer, bool]]]) -> 
         parts={key: gather(lambda a, key=key: a.parts[key]) for key in rows[0][0][0].parts},  # type: ignore[misc]
         usable=float(gather(lambda a: float(a.usable)).mean()),
     )
-
-
-def _best_of_each_form(records: dict[str, Record]) -> list[Record]:
-    """The fastest acados record of each form; the others differ in time only."""
-    best: dict[str, Record] = {}
-    for record in records.values():
-        if isinstance(record.peer, AcadosPeer):
-            form = record.peer.form
-            if form not in best or np.median(record.quiet) < np.median(best[form].quiet):
-                best[form] = record
-    return list(best.values())
 
 
 def _judge(problem: Problem, samples: Sequence[Sample], record: Record) -> None:

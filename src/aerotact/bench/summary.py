@@ -84,6 +84,7 @@ def summarise(
         "ratio_to_acados": _ratios(solvers),
         "growth": dict(growth or {}),
         "blocks": dict(blocks or {}),
+        "acados_settings": {name: _microseconds(times) for name, times in race.qualified.items()},
         "skipped": list(race.skipped),
     }
 

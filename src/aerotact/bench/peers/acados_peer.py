@@ -29,7 +29,9 @@ from aerotact.bench.qp import Qp, Solution, first_bounds
 from aerotact.bench.scenario import Sample
 from aerotact.ports import Array
 
+Form = Literal["quaternion", "tangent"]
 FLAGS = "-O3 -march=native"
+FORMS: tuple[Form, ...] = ("quaternion", "tangent")
 TOLERANCE = 1e-6
 ITERATIONS = 50
 
@@ -38,7 +40,7 @@ ITERATIONS = 50
 class Setting:
     """Form of the problem; intervals left after partial condensing; mode of HPIPM."""
 
-    form: Literal["tangent", "quaternion"]
+    form: Form
     condensed: int
     mode: Literal["SPEED", "BALANCE"]
 
@@ -54,7 +56,7 @@ class Setting:
 def settings(steps: int) -> list[Setting]:
     """What is tried: no condensing, half and a quarter of the intervals; the mode does not depend on the form."""
     blocks = list(dict.fromkeys([steps, max(steps // 2, 1), max(steps // 4, 1)]))
-    fast = [Setting(form, b, "SPEED") for form in ("quaternion", "tangent") for b in blocks]
+    fast = [Setting(form, b, "SPEED") for form in FORMS for b in blocks]
     return [*fast, Setting("quaternion", blocks[min(1, len(blocks) - 1)], "BALANCE")]
 
 
@@ -94,9 +96,9 @@ class AcadosPeer:
             Absent: acados is not there or does not build.
         """
         module = acados_template()
-        self._problem, self._setting, self._t = problem, setting, problem.transcription
+        self._problem, self._t = problem, problem.transcription
         self._tangent = setting.form == "tangent"
-        self.form = setting.form
+        self.form, self.setting = setting.form, setting
         self.name = f"acados {setting.label}"
         self.settings = (
             f"SQP_RTI, DISCRETE dynamics with ca.cse, NONLINEAR_LS, GAUSS_NEWTON, PARTIAL_CONDENSING_HPIPM, {setting}, "
@@ -132,7 +134,7 @@ class AcadosPeer:
         last_values, last_weights = s.terminal_terms(x, stage, common)
 
         model = module.AcadosModel()
-        model.name = f"{s.name}_{self._setting.form[0]}{self._setting.condensed}{self._setting.mode[0].lower()}"
+        model.name = f"{s.name}_{self.setting.form[0]}{self.setting.condensed}{self.setting.mode[0].lower()}"
         model.x, model.u = v, u
         model.p = ca.vertcat(stage, *extra, *([here, following] if self._tangent else []))
         model.disc_dyn_expr = ca.cse(after)
@@ -168,8 +170,8 @@ class AcadosPeer:
         options.hessian_approx = "GAUSS_NEWTON"
         options.levenberg_marquardt = float(s.damping)
         options.qp_solver = "PARTIAL_CONDENSING_HPIPM"
-        options.qp_solver_cond_N = self._setting.condensed
-        options.hpipm_mode = self._setting.mode
+        options.qp_solver_cond_N = self.setting.condensed
+        options.hpipm_mode = self.setting.mode
         options.qp_solver_iter_max = ITERATIONS
         options.qp_solver_warm_start = 0
         options.qp_tol = TOLERANCE
@@ -291,6 +293,9 @@ class AcadosPeer:
 
 
 def _version() -> str:
+    file = Path(os.environ["ACADOS_SOURCE_DIR"]) / "version"
+    if file.is_file():
+        return file.read_text().strip()
     for name in ("acados_template", "comma-deps-acados"):
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             return f"{importlib.metadata.version(name)} ({name})"
