@@ -275,7 +275,7 @@ def compare(
 @app.command()
 def bench(
     ocp: Annotated[str, typer.Option("--ocp", help="H, O, or an ocp file by name or path.")] = "H",
-    samples: Annotated[int, typer.Option(min=20, help="Samples of the closed loop.")] = 500,
+    samples: Annotated[int, typer.Option(min=20, help="Samples of the closed loop.")] = 600,
     passes: Annotated[int, typer.Option(min=1, help="Timed passes over them.")] = 5,
     horizon: Annotated[list[int] | None, typer.Option(min=1, help="Intervals for the growth; may be repeated.")] = None,
     solvers: Annotated[

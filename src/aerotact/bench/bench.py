@@ -34,7 +34,7 @@ class Options:
     """
 
     ocp: str
-    samples: int = 500
+    samples: int = 600
     passes: int = 5
     horizons: Sequence[int] = ()
     only: Sequence[str] | None = None

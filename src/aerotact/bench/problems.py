@@ -219,7 +219,7 @@ def _hexarotor(steps: int) -> Problem:
         RATE,
         np.zeros(0),
         _at_origin(hover),
-        125,
+        150,
         partial(_step_of_pose, angle=1.0),
     )
 

@@ -25,8 +25,8 @@ def number(value: float | None, form: str = ".0f") -> str:
 
 
 def _microseconds(value: float | None) -> str:
-    """Microseconds; from a tenth of a second in ms."""
-    if value is not None and value >= 1e5:
+    """Microseconds; from 10 ms in ms."""
+    if value is not None and value >= 1e4:
         return f"{value / 1e3:.0f} ms"
     return number(value, ".1f" if value is not None and value < 100 else ".0f")
 
@@ -87,6 +87,8 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
     machine = summary["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
     ratios = summary["ratio_to_acados"]
+    exact = summary["exact_references"]
+    verified = "" if exact == 1 else f" in {100 * exact:.1f} % of the samples, else by an interior point at 1e-10"
     parts = [
         f"# Benchmark {summary['ocp']}",
         f"{summary['doc']}. {summary['horizon']} intervals, {summary['rate_hz']:g} Hz.",
@@ -112,8 +114,8 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
     parts += [
         "## Accuracy",
         "Error of the first control in units of its range, against the solution of the same quadratic programme to "
-        f"round-off (an active set that is verified in {100 * summary['exact_references']:.1f} % of the samples, an "
-        "interior point at 1e-10 elsewhere). acados in quaternion form is judged by its own quadratic programme. "
+        f"round-off, by an active set that is verified{verified}. "
+        "acados in quaternion form is judged by its own quadratic programme. "
         "Residuals, median / max, are recomputed from the answer: gradient in the controls, constraints, multiplier "
         "times distance to the bound.",
         table(*accuracy_rows(summary)),
@@ -131,8 +133,8 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
         ]
         parts += [
             "## Settings of acados",
-            "Form of the problem / intervals after partial condensing; the mode of HPIPM is SPEED if not named. us on the "
-            "first samples, these settings by turns. The fastest of each form races.",
+            "Form of the problem / intervals after partial condensing; HPIPM's mode is SPEED if not named. Times in "
+            "us on the first samples, these settings by turns. The fastest of each form races.",
             table(["setting", *PERCENTILES], rows),
         ]
     parts += ["## Phases", "p50 / p99 / max, us (samples).", table(*_phase_rows(summary))]

@@ -113,7 +113,7 @@ def make_peers(
         only: of KINDS; all if None.
         acados: settings to try; those of `settings` if None.
     """
-    makers: list[tuple[str, Callable[[], Peer]]] = [("aerotact", lambda: AerotactPeer(problem))]
+    makers: list[tuple[str, Callable[[], Peer]]] = [("aerotact", lambda: AerotactPeer(problem, fresh=True))]
     skipped = []
     try:
         if only is None or "acados" in only:

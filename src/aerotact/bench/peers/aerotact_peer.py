@@ -1,6 +1,7 @@
 """The generated solver: its C library, timed inside C by the monotonic clock."""
 
 import subprocess
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -38,8 +39,8 @@ class AerotactPeer:
 
     every = 1
 
-    def __init__(self, problem: Problem, backend: str = "aerotact") -> None:
-        """Generate, compile, load.
+    def __init__(self, problem: Problem, backend: str = "aerotact", fresh: bool = False) -> None:
+        """Generate, compile (even if the cache has it, if `fresh`), load.
 
         Raises:
             UnknownName: no such back end.
@@ -48,7 +49,8 @@ class AerotactPeer:
         t, self._s = problem.transcription, problem.transcription.statement
         begin = time.perf_counter()
         project = timed_project(problem, backend)
-        self._library = compile_library(project)
+        self._scratch = tempfile.TemporaryDirectory(prefix="aerotact-") if fresh else None
+        self._library = compile_library(project, cache=Path(self._scratch.name) if self._scratch else None)
         self.build_seconds = time.perf_counter() - begin
         self.name = "aerotact" if backend == "aerotact" else f"aerotact-{backend}"
         self.settings = f"{' '.join([*find_compiler(), *FLAGS[:3]])}, back end {backend}"
