@@ -1,4 +1,4 @@
-"""Command line: list, check, generate, fly, compare.
+"""Command line: list, check, generate, fly, compare, bench.
 
 Exit codes: 0 done; 1 a check or a run failed; 2 a name or an argument is wrong; 3 the robot folder; 4 the ocp file;
 5 code generation or compiling; 6 the loop; 130 interrupted.
@@ -270,6 +270,67 @@ def compare(
         errors.print(f"[bold red]ended early:[/] {escape(fault)}", soft_wrap=True)
     if comparison.faults:
         raise typer.Exit(6)
+
+
+@app.command()
+def bench(
+    ocp: Annotated[str, typer.Option("--ocp", help="H, O, or an ocp file by name or path.")] = "H",
+    samples: Annotated[int, typer.Option(min=20, help="Samples of the closed loop.")] = 600,
+    passes: Annotated[int, typer.Option(min=1, help="Timed passes over them.")] = 5,
+    horizon: Annotated[list[int] | None, typer.Option(min=1, help="Intervals for the growth; may be repeated.")] = None,
+    solvers: Annotated[
+        list[str] | None, typer.Option("--solver", "-s", help="aerotact, acados, osqp, casadi, ipopt; may be repeated.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the steps of the reference.")] = 11,
+    blocks: Annotated[str, typer.Option(help="Robot whose laws and estimators are timed; 'none' for none.")] = "none",
+    json_file: JsonOption = None,
+    output: OutputOption = Path("results"),
+) -> None:
+    """Time the generated solver beside its peers on the same quadratic programmes; print tables, plot, write a page.
+
+    acados is found through the variable ACADOS_SOURCE_DIR.
+
+    Examples: `aerotact bench --ocp H`, `aerotact bench --ocp O --horizon 10 --horizon 40 --horizon 80`
+    """
+    from aerotact.bench.bench import Options, run_bench
+    from aerotact.bench.report import accuracy_rows, page, plot, time_rows
+    from aerotact.bench.run import KINDS
+    from aerotact.exceptions import UnknownName
+
+    for name in solvers or []:
+        if name not in KINDS:
+            raise UnknownName("solver", name, KINDS)
+    robot = None if blocks == "none" else blocks
+    options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, robot)
+    folder = output / "bench"
+    make_folder(folder)
+    with progress_bar() as progress:
+        task = progress.add_task("", total=None)
+        race, summary = run_bench(
+            options,
+            lambda done, total, what: progress.update(task, completed=done, total=total, description=what),
+        )
+    for title, (header, rows), shown in (
+        ("time, us", time_rows(summary), (0, 1, 2, 3, 5, 9)),
+        ("accuracy", accuracy_rows(summary), (0, 1, 2, 3)),
+    ):
+        table = Table(*(header[i] for i in shown), title=f"{summary['ocp']}: {title}")
+        for row in rows:
+            table.add_row(*(row[i] for i in shown))
+        for column in table.columns:
+            column.no_wrap = True
+        console.print(table)
+    for name, ratio in summary["ratio_to_acados"].items():
+        say(f"acados over aerotact, {name}: {ratio:.1f}")
+    for line in summary["skipped"]:
+        say(line)
+    text = json.dumps(summary, indent=2) + "\n"
+    figures = plot(race, summary, folder)
+    write(folder / f"{summary['ocp']}.json", text)
+    if json_file is not None:
+        write(json_file, text)
+    write(folder / f"{summary['ocp']}.md", page(summary, figures))
+    say(f"page:    {folder / summary['ocp']}.md")
 
 
 def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path) -> "Options":

@@ -42,8 +42,13 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "aerotact"
 
 
-def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS) -> Path:
+def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS, cache: Path | None = None) -> Path:
     """Shared library of the project; compiled if the cache has none of the same content, compiler, flags and machine.
+
+    Args:
+        project: to compile.
+        flags: of the compiler.
+        cache: folder of compiled libraries; `cache_folder()` if None.
 
     Raises:
         CompilerNotFound: no C compiler.
@@ -51,7 +56,7 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS) -> Path:
     """
     compiler = find_compiler()
     key = hashlib.sha256("\0".join([project.digest, *compiler, *flags, _processor()]).encode()).hexdigest()[:24]
-    library = cache_folder() / f"{project.name}-{key}.so"
+    library = (cache or cache_folder()) / f"{project.name}-{key}.so"
     if library.is_file():
         return library
     _make_folder(library.parent)

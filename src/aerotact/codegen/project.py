@@ -177,6 +177,19 @@ def manifest(block: Block, robot: Robot, extra: Mapping[str, Any]) -> str:
     return json.dumps(content, indent=2, sort_keys=True) + "\n"
 
 
+def function_files(
+    name: str, functions: list[tuple[Any, str, list[str], list[str]]], extra_signatures: Sequence[str] = ()
+) -> dict[str, str]:
+    """`src/<name>_functions.h` and `.c`: (CasADi function, C name, arguments, results), and heads of others."""
+    heads = [*(signature(n, a, r) for _, n, a, r in functions), *extra_signatures]
+    header = templates().get_template("functions.h.jinja").render(name=name, NAME=name.upper(), signatures=heads)
+    body = [emit(f, n, a, r, lambda n: f"/* {n} */") for f, n, a, r in functions]
+    return {
+        f"src/{name}_functions.h": header,
+        f"src/{name}_functions.c": "\n".join([f'#include "{name}_functions.h"\n\n#include <math.h>\n', *body]),
+    }
+
+
 def assemble(
     context: Mapping[str, Any],
     functions: list[tuple[Any, str, list[str], list[str]]],
@@ -193,17 +206,14 @@ def assemble(
     sources = (f"src/{name}.c", f"src/{name}_functions.c", *[p for p in extra if not p.startswith(THIRD_PARTY)])
     foreign = [p for p in extra if p.startswith(THIRD_PARTY)]
     full = {**context, "plant": example.context, "sources": sources, "third_party": foreign}
-    full["signatures"] = [*(signature(n, a, r) for _, n, a, r in functions), *extra_signatures]
 
     def render(template: str) -> str:
         return environment.get_template(template).render(full)
 
-    body = [emit(f, n, a, r, lambda n: f"/* {n} */") for f, n, a, r in functions]
     files = {
         f"include/{name}.h": render("api.h.jinja"),
         f"src/{name}.c": render(main),
-        f"src/{name}_functions.h": render("functions.h.jinja"),
-        f"src/{name}_functions.c": "\n".join([f'#include "{name}_functions.h"\n\n#include <math.h>\n', *body]),
+        **function_files(name, functions, extra_signatures),
         **extra_sources,
         "example/main.c": render("main.c.jinja"),
         f"example/{name}_plant.h": example.header,

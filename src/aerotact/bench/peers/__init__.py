@@ -1,0 +1,1 @@
+"""Peers: one module each; a peer that is not installed says so in one line."""

@@ -1,0 +1,120 @@
+"""The generated solver: its C library, timed inside C by the monotonic clock."""
+
+import subprocess
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+
+from aerotact import __version__
+from aerotact.bench.peers.peer import Answer
+from aerotact.bench.problems import Problem
+from aerotact.bench.qp import Solution
+from aerotact.bench.scenario import Sample
+from aerotact.codegen.build import FLAGS, compile_library, find_compiler
+from aerotact.codegen.project import CProject
+from aerotact.codegen.rti_project import rti_project
+from aerotact.codegen.templating import templates
+from aerotact.ports import Array
+
+_CDEF = """
+typedef struct {{
+    double prepare, feedback, stationarity, feasibility, complementarity;
+    int iterations, status;
+}} timed;
+size_t {n}_timed_size(void);
+void {n}_timed_init(void *rti);
+void {n}_timed_run(void *rti, const double *x, const double *u, const double *stages, const double *parameters,
+    const double *measured, double *dx, double *du, double *y, timed *result);
+"""
+_USABLE = (0, 1)  # OK, MAX_ITERATIONS
+
+
+class AerotactPeer:
+    """One row of the table for one back end."""
+
+    every = 1
+
+    def __init__(self, problem: Problem, backend: str = "aerotact", fresh: bool = False) -> None:
+        """Generate, compile (even if the cache has it, if `fresh`), load.
+
+        Raises:
+            UnknownName: no such back end.
+            CodegenError: it does not compile.
+        """
+        t, self._s = problem.transcription, problem.transcription.statement
+        begin = time.perf_counter()
+        project = timed_project(problem, backend)
+        self._scratch = tempfile.TemporaryDirectory(prefix="aerotact-") if fresh else None
+        self._library = compile_library(project, cache=Path(self._scratch.name) if self._scratch else None)
+        self.build_seconds = time.perf_counter() - begin
+        self.name = "aerotact" if backend == "aerotact" else f"aerotact-{backend}"
+        self.settings = f"{' '.join([*find_compiler(), *FLAGS[:3]])}, back end {backend}"
+        self.versions = {"aerotact": __version__}
+        self._ffi = cffi.FFI()
+        self._ffi.cdef(_CDEF.format(n=project.name))
+        self._lib: Any = self._ffi.dlopen(str(self._library))
+        self._init, self._run = (getattr(self._lib, f"{project.name}_timed_{f}") for f in ("init", "run"))
+        size = int(getattr(self._lib, f"{project.name}_timed_size")())
+        self.sizes = {"workspace": size, "code": code_bytes(self._library)}
+        N, n, m, rows = t.steps, self._s.ndx, self._s.nu, len(self._s.bounds.states)
+        self._rti = aligned(size)
+        self._dx, self._du, self._y = np.zeros((N + 1, n)), np.zeros((N, m)), np.zeros((N + 1, m + rows))
+        self._parameters = np.append(problem.parameters, 0.0)
+        self._result = self._ffi.new("timed *")
+        self.reset()
+
+    def _pointer(self, values: Array) -> Any:
+        return self._ffi.cast("double *", values.ctypes.data)
+
+    def reset(self) -> None:
+        """Empty workspace."""
+        self._init(self._ffi.cast("void *", self._rti.ctypes.data))
+
+    def solve(self, sample: Sample, full: bool = True) -> Answer:
+        """One iteration; the copies into and out of the workspace are not timed, as with every peer."""
+        held = [np.ascontiguousarray(v) for v in (sample.x, sample.u, sample.stages, self._parameters, sample.measured)]
+        results = [self._dx, self._du, self._y]
+        workspace = self._ffi.cast("void *", self._rti.ctypes.data)
+        self._run(workspace, *(self._pointer(v) for v in (*held, *results)), self._result)
+        prepare, feedback = 1e6 * self._result.prepare, 1e6 * self._result.feedback
+        m = self._s.nu
+        y = np.concatenate([self._y[:-1, :m].ravel(), self._y[1:, m:].ravel()])
+        return Answer(
+            u0=sample.u[0] + self._du[0],
+            prepare=prepare,
+            feedback=feedback,
+            total=prepare + feedback,
+            usable=self._result.status in _USABLE,
+            solution=Solution(self._dx.copy(), self._du.copy(), y) if full else None,
+        )
+
+
+def timed_project(problem: Problem, backend: str = "aerotact") -> CProject:
+    """The bare solver and the function that times it."""
+    project = rti_project(problem.transcription, backend, problem.doc)
+    name = project.name
+    context = {"name": name, "NAME": name.upper(), "rti": {"np": problem.transcription.statement.stage_size}}
+    source = f"src/{name}_timed.c"
+    text = templates().get_template("timed_rti.c.jinja").render(context)
+    return replace(project, files={**project.files, source: text}, sources=(*project.sources, source))
+
+
+def code_bytes(library: Path) -> int:
+    """Bytes of code and constants of a compiled library, as `size` counts them; 0 where there is no such program."""
+    try:
+        listed = subprocess.run(["size", str(library)], check=True, capture_output=True, text=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return 0
+    return int(listed.splitlines()[1].split()[0])
+
+
+def aligned(size: int) -> Array:
+    """`size` zero bytes that begin at a multiple of 64, as a static variable of C would for vector code."""
+    raw = np.zeros(size + 64, dtype=np.uint8)
+    start = -raw.ctypes.data % 64
+    return raw[start : start + size]
