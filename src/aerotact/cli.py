@@ -132,7 +132,7 @@ def generate(
 ) -> None:
     """Write a standalone C project: header, sources, example, Makefile, CMakeLists.txt, manifest.
 
-    Examples: `aerotact generate tilt_hex_admittance --robot tilt_hex -o my_mpc`,
+    Examples: `aerotact generate ocp/my_problem.toml --robot models/my_robot -o my_mpc`,
     `aerotact generate ryll2019_admittance --robot models/my_robot --rate 250 -o my_law`
     """
     from aerotact.dynamics.model import Model

@@ -75,7 +75,7 @@ def test_no_robot_is_named_outside_experiments_and_examples() -> None:
     names = {n for robot in ROBOTS for n in (robot, robot.replace("_", "-"), robot.replace("_", " "))}
     assert names
     words = re.compile("|".join(map(re.escape, sorted(names))), flags=re.IGNORECASE)
-    exempt = ("experiments", "cli")  # an experiment has its robot; the command line's help shows examples
+    exempt = ("experiments",)  # an experiment has its robot
     files = [p for p in PACKAGE.rglob("*") if p.suffix in (".py", ".jinja", ".xml") and _noun(p) not in exempt]
     assert len(files) > 40
     for file in files:

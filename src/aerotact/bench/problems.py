@@ -76,7 +76,7 @@ def make_problem(name: str, steps: int | None = None) -> Problem:
     if name == "H":
         return _hexarotor(steps or STEPS)
     if name == "O":
-        return _tilt_rotor(steps or STEPS)
+        return _tilting_rotors(steps or STEPS)
     if steps is not None:
         raise InputError(f"horizon is {steps}, but '{name}' has its own grid; valid: H or O with a horizon")
     return _ocp_file(name)
@@ -224,7 +224,7 @@ def _hexarotor(steps: int) -> Problem:
     )
 
 
-def _tilt_rotor(steps: int) -> Problem:
+def _tilting_rotors(steps: int) -> Problem:
     """O: 5 kg, arms of 0.3 m, a stick of 0.55 m, a wall at x = 1 m."""
     mass = 5.0
     c, s = _arm_angles()
