@@ -38,6 +38,7 @@ class Statistics:
     qp_complementarity: float
 
 
+_ALIGNMENT = 64  # bytes
 _CDEF = """
 typedef struct {{ int status, failures, qp_iterations; double qp_stationarity, qp_feasibility, qp_complementarity; }}
     {n}_statistics;
@@ -49,6 +50,13 @@ void {n}_default_reference(void *reference);
 int {n}_step(void *workspace, const void *measurement, const void *reference, const void *parameters, void *output);
 const {n}_statistics *{n}_statistics_of(const void *workspace);
 """
+
+
+def _aligned(size: int) -> Array:
+    """Zeros for a workspace of `size` bytes, aligned to the widest vector registers."""
+    memory = np.zeros(-(-size // 8) + _ALIGNMENT // 8)
+    start = -memory.ctypes.data % _ALIGNMENT // 8
+    return memory[start : start + -(-size // 8)]
 
 
 class Controller:
@@ -85,7 +93,7 @@ class Controller:
             self._buffers[group] = buffer
             self._views[group] = layout.unpack(buffer[: layout.size])
         size = int(self._call("workspace_size")())
-        self._workspace = np.zeros((size + 15) // 8)
+        self._workspace = _aligned(size)
         self._init, self._reset, self._step = (self._call(n) for n in ("init", "reset", "step"))
         self._pointers = [
             self._pointer(b)

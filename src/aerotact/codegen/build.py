@@ -12,7 +12,7 @@ from pathlib import Path
 from aerotact.codegen.project import CProject
 from aerotact.exceptions import CodegenError, CompilerNotFound
 
-FLAGS = ("-std=c99", "-O2", "-march=native", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-pedantic")
+FLAGS = ("-std=c99", "-O3", "-march=native", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-pedantic")
 _CANDIDATES = ("cc", "gcc", "clang")
 
 
