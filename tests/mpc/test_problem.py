@@ -21,7 +21,7 @@ FAULTS = {
         r"residuals: unknown 'jerk'; valid: admittance, .*twist",
     ),
     "unknown term": (
-        "angular = 1.0",
+        "angular = 4.0",
         "spin = 1.0",
         r"residuals\.admittance\.weight\.spin: .*valid: position, attitude",
     ),
@@ -43,7 +43,7 @@ FAULTS = {
     "unknown residual key": ("weight = 1e-3", "wait = 1e-3", r"residuals\.thrust\.w(ait|eight): "),
     "no weight": ("weight = 1e-3", "", r"residuals\.thrust\.weight: Field required"),
     "negative weight": ("weight = 1e-3", "weight = -1e-3", r"residuals\.thrust\.weight: .*greater than or equal to 0"),
-    "negative term": ("angular = 1.0", "angular = -1.0", r"residuals\.admittance\.weight.*angular"),
+    "negative term": ("angular = 4.0", "angular = -1.0", r"residuals\.admittance\.weight.*angular"),
     "weight that is no number": ("weight = 1e-3", "weight = nan", r"residuals\.thrust\.weight: .*\(got nan\)"),
     "endless weight": ("weight = 1e-3", "weight = inf", r"residuals\.thrust\.weight: .*\(got inf\)"),
     "weights of another size": (

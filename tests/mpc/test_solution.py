@@ -112,7 +112,7 @@ def test_quadratic_programme_is_solved(ocp: Ocp, mpc: Inspected, name: str) -> N
     assert mpc.step() is Status.OK
     statistics = mpc.statistics
     assert (statistics.qp_iterations > 0) == CASES[name].rate_active
-    assert statistics.qp_feasibility < 1e-7
+    assert statistics.qp_feasibility < 1e-8 * np.abs(mpc.fields["qp_solution.u"]).max()  # the solver's is relative
     f = mpc.fields
     largest = max(np.abs(f["q"]).max(), np.abs(f["r"]).max())
     assert statistics.qp_stationarity < 1e-6 * largest
