@@ -11,7 +11,7 @@ from aerotact.codegen.functions import number
 from aerotact.codegen.lanes import Strided, emit_stages
 from aerotact.codegen.qp_structure import FREE, ONE, ZERO, QpPattern
 from aerotact.codegen.templating import templates
-from aerotact.mpc.transcription import Transcription
+from aerotact.mpc.transcription import ROW_RESULTS, Transcription
 from aerotact.ports import Array
 
 FunctionRow = tuple[Any, str, list[str], list[str]]
@@ -52,6 +52,8 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     solver = find_backend(backend, where)
     inputs = {"x": s.nx, "u": m, "x_next": s.nx, "stage": max(s.stage_size, 1), "p": 0, "h": 1, "gain": m}
     results = {"A": n * n, "B": n * m, "b": n, "Q": n * n, "S": m * n, "R": m * m, "q": n, "r": m}
+    if s.rows.size:
+        results |= {"C": s.rows.size * n, "g": s.rows.size}
     stages = emit_stages(
         transcription.linearise,
         f"{name}_linearise",
@@ -73,6 +75,13 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         "x_lower": numbers(bounds.x_lower),
         "x_upper": numbers(bounds.x_upper),
         "lag": numbers(bounds.lag) if bounds.lag is not None else [],
+        "rows": s.rows.size,
+        "soft_rows": [i for i, soft in enumerate(s.rows.soft) if soft],
+        "row_lower": numbers(s.rows.lower),
+        "row_upper": numbers(s.rows.upper),
+        "row_linear": numbers(np.where(s.rows.soft, s.rows.linear, 0.0)),
+        "row_quadratic": numbers(s.rows.quadratic),
+        "row_lengths": numbers(np.append(np.diff(s.times), s.rows.terminal)),
         "fixed": [
             (result, [(entry, number(value)) for entry, value in sorted(entries.items()) if value != 0.0])
             for result, entries in stages.constants.items()
@@ -93,7 +102,12 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         **solver.sources(name, pattern),
     }
     functions: list[FunctionRow] = [
-        (transcription.linearise_terminal, f"{name}_linearise_terminal", ["x", "stage", "p"], ["Q", "q"]),
+        (
+            transcription.linearise_terminal,
+            f"{name}_linearise_terminal",
+            ["x", "stage", "p"],
+            ["Q", "q", *(ROW_RESULTS if s.rows.size else [])],
+        ),
         (transcription.retract, f"{name}_retract", ["x", "dx"], ["moved"]),
         (transcription.difference, f"{name}_difference", ["from", "to"], ["dx"]),
         (transcription.rest, f"{name}_rest", ["x"], ["rest"]),
@@ -121,6 +135,8 @@ def _pattern(transcription: Transcription, constants: dict[str, dict[int, float]
         nu=s.nu,
         steps=transcription.steps,
         bounded=bounded,
+        general=s.rows.size,
+        soft_rows=s.rows.soft,
         A=grids["A"].tolist(),
         B=grids["B"].tolist(),
         Q=grids["Q"].tolist(),

@@ -1,6 +1,13 @@
-"""Constraints: the limits that an optimal control problem may keep, by name."""
+"""Constraints: the limits that an optimal control problem may keep, by name.
 
+Limits of actuators are simple bounds, always hard. The others are rows, smooth functions of the state that must lie
+between two limits from the second node on; a soft row may be violated by s > 0 at the cost of
+(stage length) * (linear * s + quadratic * s^2 / 2).
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +34,37 @@ class Bounds:
     u_upper: Array
     lag: Array | None = None
 
+
+@dataclass(frozen=True)
+class Rows:
+    """Inequality rows of an OCP.
+
+    Attributes:
+        build: (x, stage parameters) -> the rows' values, shape (size,).
+        lower, upper: limits, shape (size,), infinite where there is none.
+        linear, quadratic: penalty of a violation, shape (size,); a hard row has linear = infinity.
+        terminal: seconds by which a violation at the last node counts.
+    """
+
+    build: Callable[[Any, Any], Any]
+    lower: Array
+    upper: Array
+    linear: Array
+    quadratic: Array
+    terminal: float
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.lower)
+
+    @property
+    def soft(self) -> tuple[bool, ...]:
+        """Which rows are soft."""
+        return tuple(bool(v) for v in np.isfinite(self.linear))
+
+
+NO_ROWS = Rows(lambda _x, _stage: None, *(np.zeros(0),) * 4, terminal=0.0)
 
 CONSTRAINTS = {
     "thrust": "lowest and highest thrust at every node, and of the command that is sent",

@@ -1,7 +1,7 @@
 """Transcription: an optimal control problem as the CasADi functions that a real-time iteration needs.
 
     min  sum_k h_k sum_i w_i r_i(x_k, u_k, p_k)^2 / 2  +  terminal
-    s.t. x_0 measured,  x_(k+1) = Phi_k(x_k, u_k, p_k),  bounds on x_k and u_k
+    s.t. x_0 measured,  x_(k+1) = Phi_k(x_k, u_k, p_k),  bounds on x_k and u_k,  lower <= g(x_k, u_k, p_k) <= upper
 
 by multiple shooting, one Runge-Kutta step of order four an interval, linearised on the manifold: the quadratic
 programme is in the changes dx_k (three coordinates for an attitude) and du_k. The Hessian is Gauss-Newton's.
@@ -14,8 +14,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from aerotact.mpc.constraints import Bounds
+from aerotact.mpc.constraints import NO_ROWS, Bounds, Rows
 from aerotact.ports import Array
+
+ROW_RESULTS = ["C", "g"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Statement:
         command: (x, u) -> what is sent to the robot.
         bounds: of states and controls.
         damping: Levenberg-Marquardt.
+        rows: inequalities of the states, from the second node on.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Statement:
     command: Callable[[Any, Any], Any]
     bounds: Bounds
     damping: float
+    rows: Rows = NO_ROWS
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,9 @@ class Transcription:
 
     Attributes:
         statement: what was transcribed.
-        linearise: (x, u, x_next, stage, parameters, h, gain) -> (A, B, b, Q, S, R, q, r), row by row, in changes.
-        linearise_terminal: (x, stage, parameters) -> (Q, q).
+        linearise: (x, u, x_next, stage, parameters, h, gain) -> (A, B, b, Q, S, R, q, r), row by row, in changes; with
+            inequality rows also (C, g), their Jacobian and value.
+        linearise_terminal: (x, stage, parameters) -> (Q, q), and (C, g).
         step: (x, u, stage, h, gain) -> Phi.
         cost: (x, u, stage, parameters, h) -> cost of one stage; terminal_cost: (x, stage, parameters).
         retract: (x, dx) -> x; difference: (x_from, x_to) -> dx; rest: x -> x; command: (x, u) -> command.
@@ -133,6 +138,10 @@ def transcribe(s: Statement) -> Transcription:
     J_end = at_zero(ca.jacobian(r_end, dx))
     weighted_end = ca.mtimes(J_end.T, ca.diag(w_end))
     Q_end = ca.mtimes(weighted_end, J_end) + s.damping * ca.SX.eye(n)
+    rows = []
+    if s.rows.size:
+        inequality = s.rows.build(moved, stage)
+        rows = [at_zero(ca.jacobian(inequality, dx)), at_zero(inequality)]
     r_now, w_now = s.terms(x, u, stage, parameters)
     r_last, w_last = s.terminal_terms(x, stage, parameters)
     return Transcription(
@@ -140,11 +149,14 @@ def transcribe(s: Statement) -> Transcription:
         linearise=_function(
             "linearise",
             [x, u, x_next, stage, parameters, h, gain],
-            [A, B, b, H[:n, :n], H[n:, :n], H[n:, n:], g[:n], g[n:]],
-            ["A", "B", "b", "Q", "S", "R", "q", "r"],
+            [A, B, b, H[:n, :n], H[n:, :n], H[n:, n:], g[:n], g[n:], *rows],
+            ["A", "B", "b", "Q", "S", "R", "q", "r", *ROW_RESULTS[: len(rows)]],
         ),
         linearise_terminal=_function(
-            "linearise_terminal", [x, stage, parameters], [Q_end, ca.mtimes(weighted_end, at_zero(r_end))], ["Q", "q"]
+            "linearise_terminal",
+            [x, stage, parameters],
+            [Q_end, ca.mtimes(weighted_end, at_zero(r_end)), *rows],
+            ["Q", "q", *ROW_RESULTS[: len(rows)]],
         ),
         step=ca.Function("step", [x, u, stage, h, gain], [phi(x, u)]),
         cost=ca.Function("cost", [x, u, stage, parameters, h], [h * ca.dot(w_now, r_now**2) / 2]),
