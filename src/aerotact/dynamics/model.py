@@ -128,6 +128,11 @@ class Model:
     def _allocation(self) -> Any:
         return ca.sparsify(ca.DM(allocation(self.robot)))
 
+    @cached_property
+    def inverse_inertia(self) -> Any:
+        """Inverse of the inertia about the centre of mass, 1/(kg m2), (3, 3)."""
+        return ca.sparsify(ca.DM(_clean(np.linalg.inv(self.robot.J_C))))
+
     def rotor_wrench(self, thrust: Any) -> tuple[Any, Any]:
         """Force, N, and torque about the centre of mass, N m, of the rotors, in B; ryll2019 (8)-(9)."""
         wrench = ca.mtimes(self._allocation, thrust)
@@ -143,8 +148,7 @@ class Model:
         R_WB = so3.rotation(s["q_WB"])
         f_B, tau_B = self.rotor_wrench(s["thrust"])
         w, J, c = s["w_B"], ca.sparsify(ca.DM(_clean(self.robot.J_C))), ca.sparsify(ca.DM(_clean(self.robot.p_BC)))
-        J_inverse = ca.sparsify(ca.DM(_clean(np.linalg.inv(self.robot.J_C))))
-        dw = ca.mtimes(J_inverse, tau_B + d["tau_ext_B"] - ca.cross(w, ca.mtimes(J, w)))
+        dw = ca.mtimes(self.inverse_inertia, tau_B + d["tau_ext_B"] - ca.cross(w, ca.mtimes(J, w)))
         a_WC = (ca.mtimes(R_WB, f_B) + d["f_ext_W"]) / self.robot.mass - ca.DM([0, 0, self.robot.gravity])
         a_WB = a_WC - ca.mtimes(R_WB, ca.cross(dw, c) + ca.cross(w, ca.cross(w, c)))
         return a_WB, dw

@@ -1,0 +1,105 @@
+"""Contact: the force of a surface on the tool's tip, as a smooth function of state and actuators.
+
+A surface is locally a plane with unit normal n_W from the surface to the robot; gap = n_W . p_WE - offset. The force on
+the tool is F (n_W - mu s), s being the direction of sliding, smoothed about zero. The normal force F is a blend of two:
+
+    rigid      F makes the tip's normal velocity decay with SETTLING: no stiffness enters
+    compliant  F = stiffness * penetration + damping * speed of approach, smooth and unilateral
+
+The rigid force suits a tip that is held to a hard wall; it may be negative, where the actuators pull the tip away. The
+compliant one suits free flight towards a surface, and soft surfaces.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from aerotact.dynamics import so3
+from aerotact.dynamics.model import Model
+
+SETTLING = 12.0  # 1/s
+SMOOTH_GAP = 1e-3  # m, over which the compliant force sets in
+SMOOTH_SPEED = 0.02  # m/s, over which friction sets in
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A plane near the tool.
+
+    Attributes:
+        n_W: unit normal from the surface to the robot, (3,).
+        offset: n_W . p of the plane's points, m.
+        friction: Coulomb's coefficient.
+        stiffness, damping: of the compliant force, N/m and N s/m.
+        rigid: 1 for the rigid force, 0 for the compliant one, or between.
+    """
+
+    n_W: Any
+    offset: Any
+    friction: Any
+    stiffness: Any
+    damping: Any
+    rigid: Any
+
+
+def gap(model: Model, x: Any, surface: Surface) -> Any:
+    """Distance of the tip to the plane, m, negative behind it."""
+    return ca.dot(surface.n_W, model.tool_pose(x)[0]) - surface.offset
+
+
+def tangential(n_W: Any, vector_W: Any) -> Any:
+    """The part of a vector that lies in the plane."""
+    return vector_W - ca.dot(n_W, vector_W) * n_W
+
+
+def tool_wrench(model: Model, x: Any, f_tool_W: Any) -> Any:
+    """Force on the tool's tip, N in W, as a wrench p of the model, (6,): force in W, torque about the COM in B."""
+    p_CE = ca.DM(model.robot.p_BE - model.robot.p_BC)
+    f_B = ca.mtimes(so3.rotation(x[3:7]).T, f_tool_W)
+    return ca.vertcat(f_tool_W, ca.cross(p_CE, f_B))
+
+
+def normal_force(model: Model, x: Any, p: Any, surface: Surface) -> tuple[Any, Any]:
+    """Force of the surface on the tip.
+
+    Args:
+        model: of the robot.
+        x: state.
+        p: wrench on the robot besides the contact's, (6,).
+        surface: the plane.
+
+    Returns:
+        F, N, and f_tool_W = F (n_W - mu s), N in W.
+    """
+    n, p_BE = surface.n_W, ca.DM(model.robot.p_BE)
+    R_WB = so3.rotation(x[3:7])
+    v_WE, _ = model.tool_twist(x)
+    v_n = ca.dot(n, v_WE)
+    sliding = tangential(n, v_WE)
+    direction = n - surface.friction * sliding / ca.sqrt(ca.sumsqr(sliding) + SMOOTH_SPEED**2)
+
+    def tip(wrench: Any) -> Any:
+        a_WB, dw = model.accelerations(x, wrench)
+        w = model.state.split(x)["w_B"]
+        return ca.dot(n, a_WB + ca.mtimes(R_WB, ca.cross(dw, p_BE) + ca.cross(w, ca.cross(w, p_BE))))
+
+    # The tip's acceleration is affine in the force: its slope is the inverse of the mass that the wall feels.
+    free = tip(p)
+    slope = ca.dot(n, mobility(model, R_WB, direction))
+    rigid = -(free + SETTLING * v_n) / slope
+
+    depth = -gap(model, x, surface) / SMOOTH_GAP
+    penetration = SMOOTH_GAP * (ca.fmax(depth, 0) + ca.log1p(ca.exp(-ca.fabs(depth))))
+    touching = 1 / (1 + ca.exp(-ca.fmin(ca.fmax(depth, -30), 30)))
+    compliant = surface.stiffness * penetration - surface.damping * touching * v_n
+
+    force = surface.rigid * rigid + (1 - surface.rigid) * compliant
+    return force, force * direction
+
+
+def mobility(model: Model, R_WB: Any, f_tool_W: Any) -> Any:
+    """Acceleration of the tip, m/s2 in W, that a force on it, N in W, causes."""
+    p_CE = ca.DM(model.robot.p_BE - model.robot.p_BC)
+    dw = ca.mtimes(model.inverse_inertia, ca.cross(p_CE, ca.mtimes(R_WB.T, f_tool_W)))
+    return f_tool_W / model.robot.mass + ca.mtimes(R_WB, ca.cross(dw, p_CE))
