@@ -95,9 +95,7 @@ def _ipopt(t: Transcription, start: Array) -> tuple[Array, Array, float]:
         for i, soft in enumerate(rows.soft):
             unequal.append(values[i] - (slack[own, k] if soft else 0))
             if soft:
-                cost += lengths[k] * (
-                    rows.linear[i] * slack[own, k] + rows.quadratic[i] / 2 * slack[own, k] ** 2
-                )
+                cost += lengths[k] * (rows.linear[i] * slack[own, k] + rows.quadratic[i] / 2 * slack[own, k] ** 2)
                 own += 1
     cost += t.terminal_cost(states[-1], STAGE, [])
     b = t.bounds

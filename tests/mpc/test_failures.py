@@ -1,5 +1,7 @@
 """Failure policy by fault injection: the shifted plan, then the fallback law or hover, then back with a cold start."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from inspection import Inspected
@@ -7,7 +9,8 @@ from inspection import Inspected
 from aerotact.codegen.mpc_project import mpc_block
 from aerotact.codegen.project import limit_function
 from aerotact.controller import Status
-from aerotact.mpc.ocp import Ocp
+from aerotact.dynamics.model import Model
+from aerotact.mpc.ocp import Ocp, load_ocp
 from aerotact.ports import Array
 
 OFFSET = 0.01  # m beside hover: the plan moves, and no limit is near
@@ -121,6 +124,23 @@ def _push_far(mpc: Inspected) -> None:
 
 
 def test_fallback_law_takes_over_with_its_own_command(ocp: Ocp, mpc: Inspected) -> None:
+    _expect_takeover(ocp, mpc)
+
+
+def test_fallback_law_with_references_that_the_problem_has_not(hexarotor: Model, short_problem: Path) -> None:
+    text = short_problem.read_text().replace('"ryll2019_admittance"', '"ryll2019_pose_control"')
+    path = short_problem.with_name("other_fallback.toml")
+    path.write_text(text)
+    ocp = load_ocp(path, hexarotor)
+    own = list(ocp.targets.block.reference)
+    assert [p.name for p in ocp.reference][len(own) :] == [p.name for p in ocp.fallback.reference]
+    mpc = Inspected(ocp)
+    mpc.hover(ocp)
+    mpc.reference["p_WB_r"][:] += [0.05, -0.02, 0.01]
+    _expect_takeover(ocp, mpc)
+
+
+def _expect_takeover(ocp: Ocp, mpc: Inspected) -> None:
     _push_far(mpc)
     mpc.configure(max_failures=2)
     mpc.break_solver(True)

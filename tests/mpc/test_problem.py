@@ -161,12 +161,6 @@ def test_robot_without_a_tool_is_told_what_it_lacks(tmp_path: Path, hexarotor: M
         load_ocp(path, bare)
 
 
-def test_fallback_that_needs_other_references(tmp_path: Path, problem_text: str, hexarotor: Model) -> None:
-    text = problem_text.replace('fallback = "ryll2019_admittance"', 'fallback = "ryll2019_pose_control"')
-    message = _refused(tmp_path / "spoilt.toml", text, hexarotor)
-    assert "problem.fallback: 'ryll2019_pose_control' needs the reference p_WB_r" in message
-
-
 def test_uniform_grid(tmp_path: Path, problem_text: str) -> None:
     path = tmp_path / "uniform.toml"
     path.write_text(_with_grid(problem_text, "steps = 20\nduration = 0.2"))

@@ -24,6 +24,7 @@ def mpc_block(ocp: Ocp) -> Block:
     return replace(
         targets.block,
         measurement=ocp.measurement,
+        reference=ocp.reference,
         parameters=ocp.parameters,
         output=Layout([command, *targets.telemetry]),
         limiter=limiter.step,
@@ -68,8 +69,9 @@ def _map(target: Layout, source: Layout) -> list[tuple[int, int, int]]:
 
 def _context(ocp: Ocp) -> dict[str, Any]:
     fallback, block = ocp.fallback, ocp.targets.block
-    groups = (("measurement", ocp.measurement), ("reference", block.reference), ("parameters", ocp.parameters))
+    groups = (("measurement", ocp.measurement), ("reference", ocp.reference), ("parameters", ocp.parameters))
     return {
+        "targets_measurement": block.measurement.size - ocp.statement.nu,
         "prepared_size": block.output.size,
         "max_failures": ocp.file.problem.max_failures,
         "iterations": ocp.file.solver.iterations,

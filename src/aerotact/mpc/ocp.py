@@ -50,15 +50,23 @@ class Ocp(Transcription):
         return self.file.problem.rate
 
     @property
-    def parameters(self) -> Layout:
-        """Parameters of the controller: weights, targets, and those of the fallback law that it does not share."""
-        own = self.targets.block.parameters
-        return Layout([*own, *(p for p in self.fallback.parameters if p.name not in own)])
+    def measurement(self) -> Layout:
+        """Measurement ports of the controller: those of the targets, then those that only the fallback law has."""
+        return _joined(Layout(self.targets.block.measurement.ports[:-1]), self.fallback.measurement)
 
     @property
-    def measurement(self) -> Layout:
-        """Measurement ports of the controller."""
-        return Layout(self.targets.block.measurement.ports[:-1])
+    def reference(self) -> Layout:
+        """Reference ports, in the same order."""
+        return _joined(self.targets.block.reference, self.fallback.reference)
+
+    @property
+    def parameters(self) -> Layout:
+        """Parameters, weights first, in the same order."""
+        return _joined(self.targets.block.parameters, self.fallback.parameters)
+
+
+def _joined(own: Layout, more: Layout) -> Layout:
+    return Layout([*own, *(p for p in more if p.name not in own)])
 
 
 def _weights(path: Path, name: str, entry: ResidualEntry, residual: Residual, model: Model) -> list[Port]:
@@ -131,15 +139,16 @@ def _check_fallback(path: Path, fallback: Block, block: Block) -> None:
         raise ProblemError(
             path, "problem.fallback", f"'{fallback.name}' commands no thrust", "choose a law whose output is thrust_cmd"
         )
-    for group in ("measurement", "reference"):
-        missing = [p.name for p in getattr(fallback, group) if p.name not in getattr(block, group)]
-        if missing:
-            raise ProblemError(
-                path,
-                "problem.fallback",
-                f"'{fallback.name}' needs the {group} {', '.join(missing)}, which this problem has not",
-                "choose a law with the same ports, or add the residual 'admittance'",
-            )
+    for group in ("measurement", "reference", "parameters"):
+        theirs, ours = getattr(fallback, group), getattr(block, group)
+        for port in theirs:
+            if port.name in ours and (port.size, port.unit) != (ours[port.name].size, ours[port.name].unit):
+                raise ProblemError(
+                    path,
+                    "problem.fallback",
+                    f"'{fallback.name}' has another {group} {port.name}, of {port.size} numbers in {port.unit}",
+                    "choose a law with the same ports",
+                )
 
 
 def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residuals: list[Residual]) -> Statement:
