@@ -5,14 +5,20 @@ between two limits from the second node on; a soft row may be violated by s > 0 
 (stage length) * (linear * s + quadratic * s^2 / 2).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 
+from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
-from aerotact.ports import Array
+from aerotact.exceptions import ProblemError
+from aerotact.mpc.problem import RowEntry
+from aerotact.ports import Array, Layout
 
 
 @dataclass(frozen=True)
@@ -66,14 +72,125 @@ class Rows:
 
 NO_ROWS = Rows(lambda _x, _stage: None, *(np.zeros(0),) * 4, terminal=0.0)
 
-CONSTRAINTS = {
+BOUNDS = {
     "thrust": "lowest and highest thrust at every node, and of the command that is sent",
     "thrust_rate": "lowest and highest rate of the actual thrust",
 }
 
 
+@dataclass(frozen=True)
+class Row:
+    """A kind of row.
+
+    Attributes:
+        needs: capabilities of the model.
+        limits: keys that its entry must have besides `soft`.
+        uses: kinds of stage parameters that it reads, as those of residuals.
+        build: (model, x, stage parameters by name) -> values.
+        sides: entry -> lower and upper limits.
+    """
+
+    name: str
+    doc: str
+    needs: tuple[str, ...]
+    limits: tuple[str, ...]
+    uses: tuple[str, ...]
+    build: Callable[[Model, Any, dict[str, Any]], Any]
+    sides: Callable[[RowEntry], tuple[list[float], list[float]]]
+
+
+def _upright(model: Model, x: Any, p: dict[str, Any]) -> Any:
+    return so3.rotation(model.state.split(x)["q_WB"])[2, 2]
+
+
+def _approach_speed(model: Model, x: Any, p: dict[str, Any]) -> Any:
+    v_n = ca.dot(p["n_W"], model.tool_twist(x)[0])
+    distance = ca.fmax(ca.dot(p["n_W"], model.tool_pose(x)[0]) - p["offset"], 0)
+    return v_n + p["approach_offset"] + p["approach_slope"] * distance
+
+
+def _cone(entry: RowEntry) -> tuple[list[float], list[float]]:
+    return [math.cos(entry.max or 0.0)], [math.inf]
+
+
+ROWS = {
+    row.name: row
+    for row in (
+        Row("attitude_tilt", "angle of the base's z axis to the vertical, rad", (), ("max",), (), _upright, _cone),
+        Row(
+            "approach_speed",
+            "speed of the tip towards the surface, at most approach_offset + approach_slope * distance",
+            ("tool",),
+            (),
+            ("contact",),
+            _approach_speed,
+            lambda _: ([0.0], [math.inf]),
+        ),
+        Row(
+            "workspace",
+            "position of the tool, m, W, within a box",
+            ("tool",),
+            ("lower", "upper"),
+            (),
+            lambda model, x, _: model.tool_pose(x)[0],
+            lambda entry: (entry.lower or [], entry.upper or []),
+        ),
+    )
+}
+CONSTRAINTS = {**BOUNDS, **{row.name: row.doc for row in ROWS.values()}}
+
+
+def make_rows(
+    path: Path, model: Model, entries: dict[str, Literal["hard"] | RowEntry], stage: Layout, terminal: float
+) -> Rows:
+    """Rows of the named constraints, in the order of the file.
+
+    Args:
+        path: of the ocp file, for errors.
+        model: of the robot.
+        entries: of the file's [constraints]; those that are bounds are passed over.
+        stage: layout of a stage's parameters.
+        terminal: seconds by which violations at the last node count.
+
+    Raises:
+        ProblemError: an entry lacks a limit, has one that is not its own, or limits that leave no room.
+    """
+    chosen = [(ROWS[name], RowEntry() if entry == "hard" else entry) for name, entry in entries.items() if name in ROWS]
+    if not chosen:
+        return NO_ROWS
+    sides = [_sides(path, row, entry) for row, entry in chosen]
+    penalties = [entry.penalty for _, entry in chosen]
+    counts = [len(lower) for lower, _ in sides]
+
+    def build(x: Any, stage_parameters: Any) -> Any:
+        parts = stage.split(stage_parameters)
+        return ca.vertcat(*[row.build(model, x, parts) for row, _ in chosen])
+
+    return Rows(
+        build,
+        np.concatenate([lower for lower, _ in sides]),
+        np.concatenate([upper for _, upper in sides]),
+        np.repeat([linear for linear, _ in penalties], counts),
+        np.repeat([quadratic for _, quadratic in penalties], counts),
+        terminal,
+    )
+
+
+def _sides(path: Path, row: Row, entry: RowEntry) -> tuple[list[float], list[float]]:
+    key = f"constraints.{row.name}"
+    for name in ("max", "lower", "upper"):
+        if (getattr(entry, name) is not None) != (name in row.limits):
+            given = "is no limit of this constraint" if name not in row.limits else "is missing"
+            raise ProblemError(path, f"{key}.{name}", given, f"valid: soft, {', '.join(row.limits)}".rstrip(", "))
+    lower, upper = row.sides(entry)
+    size = 3 if row.name == "workspace" else 1
+    if len(lower) != size or len(upper) != size or not all(a < b for a, b in zip(lower, upper, strict=True)):
+        raise ProblemError(path, key, f"has limits {lower} to {upper}", f"give {size} numbers a side, lower < upper")
+    return lower, upper
+
+
 def make_bounds(model: Model, names: list[str]) -> Bounds:
-    """Bounds of the named constraints (each a key of CONSTRAINTS)."""
+    """Bounds of the named constraints (each a key of BOUNDS)."""
     n = model.rotors
     where = model.state.slice("thrust")
     unbounded = np.full(n, np.inf)

@@ -116,7 +116,8 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
     model.require(list(dict.fromkeys(needs)), f"problem '{path.stem}'")
 
     weights = [p for r in residuals for p in _weights(path, r.name, file.residuals[r.name], r, model)]
-    uses = {r.target for r in residuals if r.target} | ({"thrust"} if "thrust" in file.residuals else set())
+    rows = file.rows
+    uses = {kind for r in residuals for kind in r.uses} | {kind for r in rows for kind in ROWS[r].uses}
     times = file.problem.nodes
     targets = make_targets(path.stem, file.problem.doc, model, times, file.problem.rate, uses, weights)
     for parameter in file.parameters:
@@ -157,7 +158,11 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
 
     def derivative(x: Any, rate: Any, stage: Any) -> Any:
         parts = targets.stage.split(stage)
-        return model.derivative(x, rate, ca.vertcat(parts["f_ext_W"], parts["tau_ext_B"]))
+        wrench = ca.vertcat(parts["f_ext_W"], parts["tau_ext_B"])
+        if "n_W" in parts:
+            _, f_tool_W = normal_force(model, x, wrench, surface(parts))
+            wrench = wrench + tool_wrench(model, x, f_tool_W)
+        return model.derivative(x, rate, wrench)
 
     def terms(x: Any, u: Any, stage: Any, parameters: Any) -> tuple[Any, Any]:
         return _terms(model, targets, residuals, x, u, stage, parameters)

@@ -1,5 +1,6 @@
 """The ocp file: one optimal control problem, validated."""
 
+import math
 import tomllib
 from itertools import pairwise
 from pathlib import Path
@@ -69,6 +70,27 @@ class ResidualEntry(_Strict):
     weight: Weight | dict[str, Weight | list[Weight]]
 
 
+class RowEntry(_Strict):
+    """[constraints] <name> = { ... }: limits of a row, and how it may be violated.
+
+    Attributes:
+        soft: the quadratic penalty of a violation, or [linear, quadratic]; left out for a hard row.
+        max, lower, upper: limits, as the row has them.
+    """
+
+    soft: Weight | Annotated[list[Weight], Field(min_length=2, max_length=2)] | None = None
+    max: float | None = None
+    lower: list[float] | None = None
+    upper: list[float] | None = None
+
+    @property
+    def penalty(self) -> tuple[float, float]:
+        """Linear and quadratic penalty; infinity and zero for a hard row."""
+        if self.soft is None:
+            return math.inf, 0.0
+        return (self.soft[0], self.soft[1]) if isinstance(self.soft, list) else (0.0, self.soft)
+
+
 class SolverEntry(_Strict):
     """[solver]: back end and settings."""
 
@@ -84,7 +106,7 @@ class ProblemFile(_Strict):
 
     problem: Horizon
     residuals: dict[str, ResidualEntry] = Field(min_length=1)
-    constraints: dict[str, Literal["hard"]] = Field(default_factory=dict)
+    constraints: dict[str, Literal["hard"] | RowEntry] = Field(default_factory=dict)
     parameters: dict[str, float | list[float]] = Field(default_factory=dict)
     solver: SolverEntry = Field(default_factory=SolverEntry)
 
@@ -127,6 +149,11 @@ def _key(data: Any, place: tuple[int | str, ...], *, missing: bool) -> list[str]
 
 def _keys_beside(place: tuple[int | str, ...]) -> list[str]:
     """Keys that the table of an unknown key may hold."""
-    tables: dict[str, type[BaseModel]] = {"problem": Horizon, "residuals": ResidualEntry, "solver": SolverEntry}
+    tables: dict[str, type[BaseModel]] = {
+        "problem": Horizon,
+        "residuals": ResidualEntry,
+        "constraints": RowEntry,
+        "solver": SolverEntry,
+    }
     table = tables[str(place[0])] if len(place) > 1 else ProblemFile
     return sorted(table.model_fields)

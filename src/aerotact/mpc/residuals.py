@@ -2,13 +2,19 @@
 
 A residual block turns state, controls and stage parameters into terms; each term has a weight of its own, a parameter
 of the generated controller. The cost is the sum over stages of (stage length) * weight * term^2 / 2.
+
+Where a problem knows of a surface (one of its residuals uses "contact"), the pose and the speed along the surface's normal
+give way to approach and force while a force is wanted.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
+
 from aerotact.dynamics import so3
+from aerotact.dynamics.contact import Surface, normal_force
 from aerotact.dynamics.model import Model
 
 
@@ -26,7 +32,7 @@ class Residual:
     """A residual block.
 
     Attributes:
-        target: which motion of the tool its stage parameters describe: "desired", "admittance" or none.
+        uses: kinds of stage parameters that it reads: "desired" and "admittance" motions of the tool, "trim", "contact".
         controls: it depends on the controls, so that it has no terminal part.
         build: (model, x, u, stage parameters by name) -> one expression a term.
     """
@@ -36,14 +42,17 @@ class Residual:
     needs: tuple[str, ...]
     terms: tuple[Term, ...]
     build: Callable[[Model, Any, Any, dict[str, Any]], tuple[Any, ...]]
-    target: str | None = None
+    uses: tuple[str, ...] = ()
     controls: bool = False
 
 
 def _pose(suffix: str) -> Callable[[Model, Any, Any, dict[str, Any]], tuple[Any, ...]]:
     def build(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
         p_WE, q_WE = model.tool_pose(x)
-        return p_WE - p[f"p_WE_{suffix}"], so3.local(p[f"q_WE_{suffix}"], q_WE)
+        error = p_WE - p[f"p_WE_{suffix}"]
+        if "push" in p:
+            error = error - p["push"] * ca.dot(p["n_W"], error) * p["n_W"]
+        return error, so3.local(p[f"q_WE_{suffix}"], q_WE)
 
     return build
 
@@ -51,7 +60,11 @@ def _pose(suffix: str) -> Callable[[Model, Any, Any, dict[str, Any]], tuple[Any,
 def _twist(suffix: str) -> Callable[[Model, Any, Any, dict[str, Any]], tuple[Any, ...]]:
     def build(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
         v_WE, w_E = model.tool_twist(x)
-        return v_WE - p[f"v_WE_{suffix}"], w_E - p[f"w_E_{suffix}"]
+        wanted = p[f"v_WE_{suffix}"]
+        if "push" in p:
+            along = ca.dot(p["n_W"], wanted) + p["approach"] * p["v_approach"]
+            wanted = wanted - p["push"] * along * p["n_W"]
+        return v_WE - wanted, w_E - p[f"w_E_{suffix}"]
 
     return build
 
@@ -69,6 +82,21 @@ def _thrust(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
     return (model.state.split(x)["thrust"] - p["thrust_trim"],)
 
 
+def surface(p: dict[str, Any]) -> Surface:
+    """The surface that a stage's parameters tell of."""
+    return Surface(p["n_W"], p["offset"], p["friction"], p["stiffness"], p["damping"], p["rigid"])
+
+
+def _approach(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    speed = ca.dot(p["n_W"], model.tool_twist(x)[0]) + p["v_approach"]
+    return (p["approach"] * speed,)
+
+
+def _force(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    force, _ = normal_force(model, x, ca.vertcat(p["f_ext_W"], p["tau_ext_B"]), surface(p))
+    return (p["rigid"] * (force - p["f_push"]),)
+
+
 def _rate(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
     return (u,)
 
@@ -79,15 +107,15 @@ _TWIST = (Term("linear", 3, "s^2/m^2"), Term("angular", 3, "s^2/rad^2"))
 RESIDUALS = {
     r.name: r
     for r in (
-        Residual("tool_pose", "tool pose minus desired pose", ("tool",), _POSE, _pose("d"), "desired"),
-        Residual("twist", "tool twist minus desired twist", ("tool",), _TWIST, _twist("d"), "desired"),
+        Residual("tool_pose", "tool pose minus desired pose", ("tool",), _POSE, _pose("d"), ("desired",)),
+        Residual("twist", "tool twist minus desired twist", ("tool",), _TWIST, _twist("d"), ("desired",)),
         Residual(
             "admittance",
             "tool motion minus the desired motion moved by the virtual mass-spring-damper (ryll2019 (27)), predicted",
             ("tool",),
             (*_POSE, *_TWIST),
             _motion("r"),
-            "admittance",
+            ("admittance",),
         ),
         Residual(
             "thrust",
@@ -95,6 +123,23 @@ RESIDUALS = {
             ("six_axis_wrench",),
             (Term("thrust", 0, "1/N^2"),),
             _thrust,
+            ("trim",),
+        ),
+        Residual(
+            "approach",
+            "speed along the normal minus that of approach, while a force is wanted and there is no contact",
+            ("tool",),
+            (Term("approach", 1, "s^2/m^2"),),
+            _approach,
+            ("contact",),
+        ),
+        Residual(
+            "force",
+            "predicted force of the tip on the surface minus the force wanted, while in contact",
+            ("tool", "force_torque"),
+            (Term("force", 1, "1/N^2"),),
+            _force,
+            ("contact",),
         ),
         Residual("rate", "thrust rate", (), (Term("rate", 0, "s^2/N^2"),), _rate, controls=True),
     )
