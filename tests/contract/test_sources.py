@@ -16,6 +16,7 @@ ROBOTS = sorted(p.parent.name for p in ROOT.glob("models/*/robot.toml"))
 # Each row may import from the rows above it, and its own.
 ORDER = (
     ("exceptions", "resources", "ports", "__init__"),
+    ("plant_file", "robot_file"),
     ("robot",),
     ("dynamics", "gains", "discovery"),
     ("laws", "estimation"),

@@ -15,26 +15,23 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics import admittance, so3
-from aerotact.dynamics.actuators import thrust_limiter
+from aerotact.dynamics.actuators import actuator_limiter
 from aerotact.dynamics.admittance import ToolMotion
 from aerotact.dynamics.model import Model
+from aerotact.dynamics.motion import (
+    BaseMotion,
+    add_base,
+    add_desired_tool,
+    base_reference,
+    com_motion,
+    hover_poses,
+    numbers,
+)
 from aerotact.dynamics.rotors import least_thrust_inverse
 from aerotact.gains import with_robot_gains
 from aerotact.ports import Block, BlockBuilder
 
 SOURCE = "ryll2019"
-
-
-@dataclass(frozen=True)
-class BaseMotion:
-    """Motion of the base's origin: p_WB m, q_WB, v_WB m/s in W, w_B rad/s in B, a_WB m/s2 in W, dw_B rad/s2 in B."""
-
-    p_WB: Any
-    q_WB: Any
-    v_WB: Any
-    w_B: Any
-    a_WB: Any = None
-    dw_B: Any = None
 
 
 @dataclass(frozen=True)
@@ -48,16 +45,6 @@ class PoseGains:
 
 
 # equations
-
-
-def com_motion(model: Model, base: BaseMotion) -> tuple[Any, Any, Any]:
-    """Position m, velocity m/s and acceleration m/s2 of the centre of mass, in W; the last needs base.a_WB and dw_B."""
-    p_BC, R_WB, w = ca.sparsify(ca.DM(model.robot.p_BC)), so3.rotation(base.q_WB), base.w_B
-    p_WC = base.p_WB + ca.mtimes(R_WB, p_BC)
-    v_WC = base.v_WB + ca.mtimes(R_WB, ca.cross(w, p_BC))
-    if base.a_WB is None:
-        return p_WC, v_WC, None
-    return p_WC, v_WC, base.a_WB + ca.mtimes(R_WB, ca.cross(base.dw_B, p_BC) + ca.cross(w, ca.cross(w, p_BC)))
 
 
 def pose_accelerations(model: Model, base: BaseMotion, reference: BaseMotion, gains: PoseGains) -> tuple[Any, Any]:
@@ -92,26 +79,6 @@ def inverse_dynamics(model: Model, base: BaseMotion, a_WC: Any, dw_B: Any, f_ext
     return ca.mtimes(ca.DM(least_thrust_inverse(robot)), ca.vertcat(f_B, tau_B))
 
 
-def base_reference(model: Model, tool: ToolMotion) -> BaseMotion:
-    """Reference of the base from that of the tool: (29), (30) and the accelerations below them, with the errata.
-
-    Lever arms turn with the reference attitude, and angular velocities change frame between tool and base.
-    """
-    robot = model.robot
-    q_WB = so3.product(tool.q_WE, so3.conjugate(ca.DM(model.q_BE)))
-    R_WB = so3.rotation(q_WB)
-    p_BE_W = ca.mtimes(R_WB, ca.DM(robot.p_BE))
-    w, dw = tool.w_WE, tool.dw_WE
-    return BaseMotion(
-        p_WB=tool.p_WE - p_BE_W,
-        q_WB=q_WB,
-        v_WB=tool.v_WE - ca.cross(w, p_BE_W),
-        w_B=ca.mtimes(R_WB.T, w),
-        a_WB=tool.a_WE - ca.cross(dw, p_BE_W) - ca.cross(w, ca.cross(w, p_BE_W)),
-        dw_B=ca.mtimes(R_WB.T, dw),
-    )
-
-
 def ahead(motion: ToolMotion, h: float) -> ToolMotion:
     """The motion h seconds later at constant linear and angular acceleration in W."""
     turn = h * motion.w_WE + h * h / 2 * motion.dw_WE
@@ -126,31 +93,6 @@ def ahead(motion: ToolMotion, h: float) -> ToolMotion:
 
 
 # ports
-
-
-def _numbers(vector: Any) -> tuple[float, ...]:
-    """A numpy or constant CasADi vector as the default of a port."""
-    return tuple(float(v) for v in np.ravel(vector))
-
-
-def _hover(model: Model) -> dict[str, tuple[float, ...]]:
-    """Default poses: of base and tool in the hover keyframe."""
-    p_WE, q_WE = (ca.DM(v).full() for v in model.tool_pose(ca.DM(model.hover_state)))
-    poses = {**model.state.unpack(model.hover_state), "p_WE": p_WE, "q_WE": q_WE}
-    return {name: _numbers(pose) for name, pose in poses.items()}
-
-
-def _add_base(b: BlockBuilder, model: Model) -> BaseMotion:
-    """Measured motion of the base."""
-    at = _hover(model)
-    return BaseMotion(
-        p_WB=b.measurement("p_WB", 3, "m", frame="W", doc="position of the base", default=at["p_WB"]),
-        q_WB=b.measurement(
-            "q_WB", 4, "1", frame="W", doc="attitude of the base", kind="quaternion", default=at["q_WB"]
-        ),
-        v_WB=b.measurement("v_WB", 3, "m/s", frame="W", doc="velocity of the base"),
-        w_B=b.measurement("w_B", 3, "rad/s", frame="B", doc="angular velocity of the base"),
-    )
 
 
 def _add_external_wrench(b: BlockBuilder) -> tuple[Any, Any]:
@@ -177,20 +119,12 @@ def _add_admittance(b: BlockBuilder, model: Model, rate: float) -> ToolMotion:
     The state holds the reference; at the first step it starts as the desired motion. A jump of the desired pose is a
     jump of the filter's spring, not of the reference.
     """
-    at = _hover(model)
+    at = hover_poses(model)
     tip, level = at["p_WE"], at["q_WE"]
     f_tool_W = b.measurement("f_tool_W", 3, "N", frame="W", doc="force of the environment on the tool")
     tau_tool_W = b.measurement("tau_tool_W", 3, "N m", frame="W", doc="torque of the environment on the tool's tip")
 
-    p_d = b.reference("p_WE_d", 3, "m", frame="W", doc="desired position of the tool", default=tip)
-    q_d = b.reference("q_WE_d", 4, "1", frame="W", doc="desired attitude of the tool", kind="quaternion", default=level)
-    v_d = b.reference("v_WE_d", 3, "m/s", frame="W", doc="desired velocity of the tool")
-    w_E_d = b.reference("w_E_d", 3, "rad/s", frame="E", doc="desired angular velocity of the tool")
-    a_d = b.reference("a_WE_d", 3, "m/s^2", frame="W", doc="desired acceleration of the tool")
-    dw_E_d = b.reference("dw_E_d", 3, "rad/s^2", frame="E", doc="desired angular acceleration of the tool")
-    R_WE_d = so3.rotation(q_d)
-    desired = ToolMotion(p_d, q_d, v_d, ca.mtimes(R_WE_d, w_E_d), a_d, ca.mtimes(R_WE_d, dw_E_d))
-
+    desired = add_desired_tool(b, model)
     law, dead_force, dead_torque = admittance.add_parameters(b)
     wrench_W = ca.vertcat(
         admittance.dead_zone(f_tool_W, dead_force),
@@ -230,7 +164,7 @@ def _add_thrust(
     """Gains and output of the inner loop: the thrust commands that track the reference against the wrench."""
     a_WC, dw_B = pose_accelerations(model, base, reference, _add_pose_gains(b))
     thrust = inverse_dynamics(model, base, a_WC, dw_B, *wrench)
-    b.output("thrust_cmd", thrust, "N", doc="thrust commands", default=_numbers(model.robot.hover_thrust))
+    b.output("thrust_cmd", thrust, "N", doc="thrust commands", default=numbers(model.robot.hover_thrust))
 
 
 # blocks
@@ -240,12 +174,12 @@ def pose_control(model: Model, rate: float) -> Block:
     """Full-pose control with wrench compensation, (11)-(17) and (26), without the admittance filter.
 
     Raises:
-        MissingCapability: the robot cannot exert force and torque independently.
+        MissingCapability: rotors tilt, or the robot cannot exert force and torque independently.
     """
     b = BlockBuilder("ryll2019_pose_control", SOURCE, rate, "full-pose inverse dynamics (11)-(17), (26)")
-    model.require(["six_axis_wrench"], "law ryll2019_pose_control")
-    base, wrench = _add_base(b, model), _add_external_wrench(b)
-    at = _hover(model)
+    model.require(["fixed_rotors", "six_axis_wrench"], "law ryll2019_pose_control")
+    base, wrench = add_base(b, model), _add_external_wrench(b)
+    at = hover_poses(model)
     reference = BaseMotion(
         p_WB=b.reference("p_WB_r", 3, "m", frame="W", doc="reference position of the base", default=at["p_WB"]),
         q_WB=b.reference("q_WB_r", 4, "1", frame="W", doc="reference attitude", kind="quaternion", default=at["q_WB"]),
@@ -255,7 +189,7 @@ def pose_control(model: Model, rate: float) -> Block:
         dw_B=b.reference("dw_B_r", 3, "rad/s^2", frame="B", doc="its derivative in the reference's own axes"),
     )
     _add_thrust(b, model, base, wrench, reference)
-    b.limit_with(thrust_limiter(model, rate))
+    b.limit_with(actuator_limiter(model, rate))
     return with_robot_gains(b.build(), model.robot)
 
 
@@ -279,15 +213,15 @@ def ryll2019_admittance(model: Model, rate: float) -> Block:
     """The whole law: admittance filter (27)-(28), reference of the base (29)-(30), pose control (11)-(17), (26).
 
     Raises:
-        MissingCapability: the robot has no tool, or cannot exert force and torque independently.
+        MissingCapability: rotors tilt, the robot has no tool, or cannot exert force and torque independently.
     """
     b = BlockBuilder("ryll2019_admittance", SOURCE, rate, "admittance law of the flying end-effector (11)-(30)")
-    model.require(["six_axis_wrench", "tool"], "law ryll2019_admittance")
-    base, wrench = _add_base(b, model), _add_external_wrench(b)
+    model.require(["fixed_rotors", "six_axis_wrench", "tool"], "law ryll2019_admittance")
+    base, wrench = add_base(b, model), _add_external_wrench(b)
     tool = _add_admittance(b, model, rate)
     _add_thrust(b, model, base, wrench, base_reference(model, tool))
     _output_tool_pose(b, tool)
-    b.limit_with(thrust_limiter(model, rate))
+    b.limit_with(actuator_limiter(model, rate))
     return with_robot_gains(b.build(), model.robot)
 
 

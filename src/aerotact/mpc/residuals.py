@@ -20,11 +20,15 @@ from aerotact.dynamics.model import Model
 
 @dataclass(frozen=True)
 class Term:
-    """One weighted part of a residual: `size` numbers (0: one a rotor) of the given unit."""
+    """One weighted part of a residual: `size` numbers of the given unit, or as many as model.actuators has under it."""
 
     key: str
-    size: int
+    size: int | str
     unit: str
+
+    def count(self, model: Model) -> int:
+        """Numbers that it has for a model."""
+        return self.size if isinstance(self.size, int) else model.actuators[self.size].size
 
 
 @dataclass(frozen=True)
@@ -97,8 +101,16 @@ def _force(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
     return (p["rigid"] * (force - p["f_push"]),)
 
 
+def _tilt(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    return (model.state.split(x)["tilt"] - p["tilt_trim"],)
+
+
 def _rate(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
-    return (u,)
+    return (model.control.split(u)["thrust_rate"],)
+
+
+def _tilt_rate(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    return (model.control.split(u)["tilt_rate"],)
 
 
 _POSE = (Term("position", 3, "1/m^2"), Term("attitude", 3, "1/rad^2"))
@@ -121,8 +133,16 @@ RESIDUALS = {
             "thrust",
             "thrust minus the least thrust that holds the target motion against the estimated wrench",
             ("six_axis_wrench",),
-            (Term("thrust", 0, "1/N^2"),),
+            (Term("thrust", "thrust", "1/N^2"),),
             _thrust,
+            ("trim",),
+        ),
+        Residual(
+            "tilt",
+            "tilt angle minus that of the least thrust that holds the target motion against the estimated wrench",
+            ("six_axis_wrench", "tilt"),
+            (Term("tilt", "tilt", "1/rad^2"),),
+            _tilt,
             ("trim",),
         ),
         Residual(
@@ -141,6 +161,9 @@ RESIDUALS = {
             _force,
             ("contact",),
         ),
-        Residual("rate", "thrust rate", (), (Term("rate", 0, "s^2/N^2"),), _rate, controls=True),
+        Residual("rate", "thrust rate", (), (Term("rate", "thrust", "s^2/N^2"),), _rate, controls=True),
+        Residual(
+            "tilt_rate", "tilt rate", ("tilt",), (Term("tilt_rate", "tilt", "s^2/rad^2"),), _tilt_rate, controls=True
+        ),
     )
 }
