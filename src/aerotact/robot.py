@@ -74,12 +74,27 @@ class RotorSpeedEntry(_Strict):
     thrust_noise: Quantity
 
 
+class DepthCameraEntry(_Strict):
+    """Time-of-flight camera: rate in Hz, columns and rows, angles of view, shortest and longest range, noise.
+
+    Its site looks along z, with x to the right of the picture and y down.
+    """
+
+    site: str
+    rate: float = Field(gt=0)
+    resolution: tuple[int, int]
+    field_of_view: Quantity
+    range: Quantity
+    range_noise: Quantity
+
+
 class SensorEntries(_Strict):
     """The sensors that the robot carries."""
 
     imu: ImuEntry
     motion_capture: MotionCaptureEntry
     rotor_speed: RotorSpeedEntry
+    depth_camera: DepthCameraEntry | None = None
 
 
 class RobotFile(_Strict):

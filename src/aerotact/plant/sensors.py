@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from aerotact.exceptions import RobotError
+from aerotact.plant.camera import DepthCamera
 from aerotact.plant.plant import Plant
 from aerotact.ports import Array
 from aerotact.robot import Quantity, Robot
@@ -15,6 +16,7 @@ class Sensors:
     Attributes:
         imu_rate: Hz.
         mocap_rate: Hz.
+        depth_camera: the robot's, or None; its noise has a stream of its own.
         biases: constant errors drawn once from the seed: accelerometer_B (m/s2) and gyro_B (rad/s), shape (3,) each.
     """
 
@@ -28,7 +30,7 @@ class Sensors:
 
         Raises:
             RobotError: plant.xml has no accelerometer or gyro at the IMU's site, or a noise is negative, of the wrong
-                unit, or not one or three numbers.
+                unit, or not one or three numbers; or as DepthCamera.
         """
         self._plant = plant
         self._file = robot.folder / "robot.toml"
@@ -56,6 +58,10 @@ class Sensors:
                 "is not on the base body",
                 f"put it into body '{robot.file.robot.base}'",
             )
+        camera = entries.depth_camera
+        # A child of the seed, so that the other sensors' noise is the same with and without a camera.
+        stream = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
+        self.depth_camera = DepthCamera(plant, robot, camera, stream) if camera else None
         self._R_BI = R_BI.reshape(3, 3)
         self._accelerometer = self._address(robot, mujoco.mjtSensor.mjSENS_ACCELEROMETER, "accelerometer")
         self._gyro = self._address(robot, mujoco.mjtSensor.mjSENS_GYRO, "gyro")
