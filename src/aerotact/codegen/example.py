@@ -9,6 +9,7 @@ import numpy as np
 from aerotact.codegen.functions import emit, number, signature
 from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
+from aerotact.estimation.surface import SurfaceLimits
 from aerotact.exceptions import CodegenError
 from aerotact.ports import Array, Layout
 
@@ -28,7 +29,7 @@ class Example:
 
 
 def signals(model: Model, x: Any) -> dict[str, Any]:
-    """Every measurement by name, without noise, of the undisturbed model in state x (a CasADi column)."""
+    """Every measurement by name, without noise, of the undisturbed model in empty space, in state x (a CasADi column)."""
     s = model.state.split(x)
     a_WB, dw_B = model.accelerations(x, ca.DM.zeros(model.disturbance.size))
     lever = ca.DM(model.robot.p_BI)
@@ -53,6 +54,9 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
         "q_WE": q_WE,
         "v_WE": v_WE,
         "w_E": w_E,
+        "surface_distance": ca.DM(SurfaceLimits().reach),
+        "n_W": -so3.rotation(q_WE)[:, 2],
+        "surface_valid": ca.DM(0),
     }
 
 
