@@ -1,4 +1,4 @@
-"""The surface ahead of the tool as a signal of the loop: served by name, at the camera's rate, logged, true if asked for."""
+"""The surface ahead of the tool in the loop: served by name, at the camera's rate, logged, true if asked for."""
 
 from functools import cache
 from pathlib import Path
@@ -39,7 +39,10 @@ def _still(asks: bool) -> Controller:
 
 
 def _loop(
-    asks: bool = True, truth: bool = False, world: str | None = "wall", estimators: tuple[str, ...] = ("state_estimator",)
+    asks: bool = True,
+    truth: bool = False,
+    world: str | None = "wall",
+    estimators: tuple[str, ...] = ("state_estimator",),
 ) -> Loop:
     plant = Plant(_model().robot, world)
     chain = [Controller(controller_project(name, _model(), 500.0)) for name in estimators]

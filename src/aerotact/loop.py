@@ -34,7 +34,9 @@ _TRUTH = {
     "f_contact_W": ("N", "W"),
 }
 SURFACE = {
-    "surface_distance": Port("surface_distance", 1, "m", doc="from the tool's tip to the surface along the tool's axis"),
+    "surface_distance": Port(
+        "surface_distance", 1, "m", doc="from the tool's tip to the surface along the tool's axis"
+    ),
     "n_W": Port("n_W", 3, "1", "W", doc="unit normal of the surface, towards the robot"),
     "surface_valid": Port("surface_valid", 1, "1", doc="1 if there is a surface", kind="flag"),
 }

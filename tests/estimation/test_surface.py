@@ -1,4 +1,4 @@
-"""The plane ahead of the tool, bodie2021 (30)-(39): exact on exact planes, accurate in MuJoCo, doubtful where it must be."""
+"""The plane ahead of the tool, bodie2021 (30)-(39): exact on planes, accurate in MuJoCo, doubtful where it must be."""
 
 from pathlib import Path
 
@@ -86,7 +86,7 @@ def test_doubtful_planes_are_far_away(case: str) -> None:
 
 
 def test_camera_finds_the_wall_within_2_mm_and_1_degree() -> None:
-    """The project's bound, with the noise of the camera, at random poses up to 0.4 m off the wall and 25 degrees askew."""
+    """The project's bound, with the noise of the camera, at poses up to 0.4 m off the wall and 25 degrees askew."""
     robot = load_robot(OCTOROTOR)
     plant, rng = Plant(robot, "wall"), np.random.default_rng(11)
     camera = Sensors(plant, robot, seed=11).depth_camera

@@ -29,11 +29,13 @@ def _in_world(plant: Plant, points_C: Array) -> Array:
 
 
 def _noiseless(octorotor: Robot, folder: Path) -> Robot:
-    return load_robot(folder_with(octorotor, folder, ("robot.toml", 'value = 0.005, unit = "1"', 'value = 0.0, unit = "1"')))
+    return load_robot(
+        folder_with(octorotor, folder, ("robot.toml", 'value = 0.005, unit = "1"', 'value = 0.0, unit = "1"'))
+    )
 
 
 def test_points_lie_on_the_wall_and_not_on_the_robot(octorotor: Robot, tmp_path: Path) -> None:
-    """The lance and its tip are in the middle of the picture; a camera that saw them would give points before the wall."""
+    """The lance and its tip are in the middle of the picture; a camera that saw them would give nearer points."""
     plant = Plant(_noiseless(octorotor, tmp_path), "wall")
     for p_WB, q_WB in (([0.2, 0, 1.2], [1, 0, 0, 0]), ([0.1, 0.2, 1.3], [0.98, 0.1, -0.1, 0.1386])):
         plant.reset(p_WB, q_WB)
@@ -124,7 +126,10 @@ SPOILT = {
         "moves against the base",
     ),
     "no tool": (("robot.toml", 'tool = "lance_end"', ""), "no tool"),
-    "noise in metres": (("robot.toml", 'value = 0.005, unit = "1"', 'value = 0.005, unit = "m"'), "one number >= 0 in 1"),
+    "noise in metres": (
+        ("robot.toml", 'value = 0.005, unit = "1"', 'value = 0.005, unit = "m"'),
+        "one number >= 0 in 1",
+    ),
     "range turned": (("robot.toml", "[0.5, 6.0]", "[6.0, 0.5]"), "shortest < longest"),
     "view too wide": (("robot.toml", "[0.28, 0.28]", "[3.2, 0.28]"), r"two angles in \(0, pi\)"),
     "one pixel": (("robot.toml", "[56, 56]", "[56, 1]"), "2 x 2 pixels"),
@@ -143,11 +148,11 @@ def test_bad_entries_are_refused(case: str, octorotor: Robot, tmp_path: Path) ->
         Sensors(Plant(robot), robot, seed=0)
 
 
-def test_robot_moves_with_the_worlds_bodies_unseen(octorotor: Robot, tmp_path: Path) -> None:
-    """A wall that moves is seen where it is now."""
+def test_wall_that_moves_is_seen_where_it_is(octorotor: Robot, tmp_path: Path) -> None:
     file = tmp_path / "sliding.xml"
     file.write_text(
-        '<mujoco><worldbody><body name="wall" pos="1.05 0 1.2" gravcomp="1"><joint name="rail" type="slide" axis="1 0 0"/>'
+        '<mujoco><worldbody><body name="wall" pos="1.05 0 1.2" gravcomp="1">'
+        '<joint name="rail" type="slide" axis="1 0 0"/>'
         '<geom name="surface" type="box" size="0.05 1 1"/></body></worldbody></mujoco>'
     )
     plant = Plant(_noiseless(octorotor, tmp_path), file)

@@ -29,7 +29,7 @@ class Example:
 
 
 def signals(model: Model, x: Any) -> dict[str, Any]:
-    """Every measurement by name, without noise, of the undisturbed model in empty space, in state x (a CasADi column)."""
+    """Every measurement by name, without noise, of the undisturbed model in empty space, state x a CasADi column."""
     s = model.state.split(x)
     a_WB, dw_B = model.accelerations(x, ca.DM.zeros(model.disturbance.size))
     lever = ca.DM(model.robot.p_BI)

@@ -41,9 +41,7 @@ class Rays:
         n = len(directions_W)
         geoms, distances = np.zeros(n, np.int32), np.zeros(n)
         rays = np.ascontiguousarray(directions_W, dtype=float).reshape(-1)
-        mujoco.mj_multiRay(
-            self._model, self._data, p_W, rays, _SEEN, True, -1, geoms, distances, None, n, cutoff
-        )
+        mujoco.mj_multiRay(self._model, self._data, p_W, rays, _SEEN, True, -1, geoms, distances, None, n, cutoff)
         return distances
 
     def first(self, p_W: Array, direction_W: Array) -> tuple[float, Array]:
@@ -56,8 +54,6 @@ class Rays:
         Returns:
             Distance, m, -1 if the ray meets nothing; unit normal of the surface there, on the ray's side, shape (3,).
         """
-        distance = mujoco.mj_ray(
-            self._model, self._data, p_W, direction_W, _SEEN, True, -1, self._geom, self._normal
-        )
+        distance = mujoco.mj_ray(self._model, self._data, p_W, direction_W, _SEEN, True, -1, self._geom, self._normal)
         normal = self._normal.copy()
         return float(distance), normal if normal @ direction_W <= 0.0 else -normal

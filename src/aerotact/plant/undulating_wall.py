@@ -1,8 +1,8 @@
 """UndulatingWall: a doubly curved wall of spring-borne tiles, written as a world (`worlds/undulating_wall.xml`).
 
 After the wooden wall of bodie2021 (Section V-F, Fig. 14), 1.8 m wide and 1 m high. Its shape is a sum of two sinusoids,
-so that it is the same on every machine. Each tile is a height field on a slide along the wall's depth, borne by a spring:
-the stiffness differs from tile to tile, and one springy tile gives way by 25 mm at 10 N. Tiles are rigid in themselves.
+the same on every machine. Each tile is a height field on a slide along the wall's depth, borne by a spring;
+stiffness differs from tile to tile, and one springy tile gives way by 25 mm at 10 N. Tiles are rigid in themselves.
 
     python -m aerotact.plant.undulating_wall      # writes the world anew
 """
@@ -36,11 +36,13 @@ def elevation(y: ArrayLike, z: ArrayLike) -> Array:
         y, z: in W, m, of shapes that broadcast.
     """
     y, z = np.asarray(y, dtype=float), np.asarray(z, dtype=float)
-    return np.asarray(0.045 * np.sin(5.0 * y + 0.6) * np.cos(4.0 * (z - 1.1)) + 0.03 * np.sin(6.0 * (z - 1.0) + 1.5 * y))
+    return np.asarray(
+        0.045 * np.sin(5.0 * y + 0.6) * np.cos(4.0 * (z - 1.1)) + 0.03 * np.sin(6.0 * (z - 1.0) + 1.5 * y)
+    )
 
 
 def stiffness() -> Array:
-    """Stiffness of each tile along the wall's depth, N/m, shape TILES; uniform in the logarithm but for the springy one."""
+    """Stiffness of each tile along the wall's depth, N/m, shape TILES; even in the logarithm but for the springy one."""
     low, high = np.log(STIFFNESS)
     values = np.exp(np.random.default_rng(_SEED).uniform(low, high, TILES))
     values[SPRINGY] = SPRINGY_STIFFNESS
@@ -49,7 +51,9 @@ def stiffness() -> Array:
 
 def _tile(i: int, j: int, spring: float) -> tuple[str, str]:
     """Height field and body of the tile in column i and row j: its x is W's z, its y is W's y, its z points out."""
-    (y0, y1), (z0, z1) = (np.linspace(*span, n + 1)[k : k + 2] for span, n, k in zip((Y, Z), TILES, (i, j), strict=True))
+    (y0, y1), (z0, z1) = (
+        np.linspace(*span, n + 1)[k : k + 2] for span, n, k in zip((Y, Z), TILES, (i, j), strict=True)
+    )
     rows, columns = round((y1 - y0) / CELL) + 1, round((z1 - z0) / CELL) + 1
     heights = elevation(np.linspace(y0, y1, rows)[:, None], np.linspace(z0, z1, columns))
     low, high = float(heights.min()), float(heights.max())
@@ -75,7 +79,7 @@ def world_xml() -> str:
     springs = stiffness()
     tiles = [_tile(i, j, float(springs[i, j])) for i in range(TILES[0]) for j in range(TILES[1])]
     fields, bodies = ("\n".join(parts) for parts in zip(*tiles, strict=True))
-    return f"""<!-- A doubly curved wall of tiles on springs, 1.8 m wide and 1 m high; its mean plane is x = 1 m and looks along -x.
+    return f"""<!-- A doubly curved wall of tiles on springs, 1.8 m wide, 1 m high; its mean plane is x = 1 m and looks along -x.
      Written by aerotact.plant.undulating_wall, which says what it is; do not edit. -->
 <mujoco model="undulating_wall">
   <include file="floor.xml"/>
@@ -92,8 +96,8 @@ def world_xml() -> str:
 {fields}
   </asset>
   <worldbody>
-    <geom name="wall_frame" type="box" size="0.03 {(Y[1] - Y[0]) / 2:g} {Z[1] / 2:g}" pos="1.2 0 {Z[1] / 2:g}" rgba="0.42 0.40 0.38 1"
-          contype="0" conaffinity="0" group="1"/>
+    <geom name="wall_frame" type="box" size="0.03 {(Y[1] - Y[0]) / 2:g} {Z[1] / 2:g}" pos="1.2 0 {Z[1] / 2:g}"
+          rgba="0.42 0.40 0.38 1" contype="0" conaffinity="0" group="1"/>
 {bodies}
   </worldbody>
 </mujoco>
