@@ -1,7 +1,7 @@
 """SurfaceMap: a triangular mesh of what a plant's robot may touch, as a planner knows it (bodie2021 IV-B).
 
-The paper reconstructs the mesh from the camera's points; here it is taken from the plant's geometry as it stands, so that
-the map is exact. Looking up points needs trimesh and rtree: pip install "aerotact[mesh]".
+The paper reconstructs the mesh from the camera's points; here it is taken from the plant's geometry as it stands, so
+that the map is exact. Looking up points needs trimesh and rtree: pip install "aerotact[mesh]".
 """
 
 from typing import Any

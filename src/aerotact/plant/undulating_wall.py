@@ -42,7 +42,7 @@ def elevation(y: ArrayLike, z: ArrayLike) -> Array:
 
 
 def stiffness() -> Array:
-    """Stiffness of each tile along the wall's depth, N/m, shape TILES; even in the logarithm but for the springy one."""
+    """Stiffness of each tile along the wall's depth, N/m, shape TILES; even in the logarithm, save the springy one."""
     low, high = np.log(STIFFNESS)
     values = np.exp(np.random.default_rng(_SEED).uniform(low, high, TILES))
     values[SPRINGY] = SPRINGY_STIFFNESS
@@ -79,7 +79,7 @@ def world_xml() -> str:
     springs = stiffness()
     tiles = [_tile(i, j, float(springs[i, j])) for i in range(TILES[0]) for j in range(TILES[1])]
     fields, bodies = ("\n".join(parts) for parts in zip(*tiles, strict=True))
-    return f"""<!-- A doubly curved wall of tiles on springs, 1.8 m wide, 1 m high; its mean plane is x = 1 m and looks along -x.
+    return f"""<!-- A doubly curved wall of tiles on springs, 1.8 m wide, 1 m high; mean plane x = 1 m, looks along -x.
      Written by aerotact.plant.undulating_wall, which says what it is; do not edit. -->
 <mujoco model="undulating_wall">
   <include file="floor.xml"/>
