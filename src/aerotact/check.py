@@ -123,13 +123,18 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
     yield _limits(robot, robot_toml, plant_xml)
     try:
         Sensors(Plant(robot), robot, seed)
-        rates = (robot.file.sensors.imu.rate, robot.file.sensors.motion_capture.rate)
+        entries = robot.file.sensors
+        rates = [entries.imu.rate, entries.motion_capture.rate]
+        said = f"IMU {rates[0]:g} Hz, motion capture {rates[1]:g} Hz"
+        if entries.depth_camera:
+            rates.append(entries.depth_camera.rate)
+            said += f", depth camera {rates[2]:g} Hz"
         whole = all(abs(PHYSICS_RATE / r - round(PHYSICS_RATE / r)) < 1e-9 for r in rates)
-        slower = rates[1] <= rates[0]
+        slower = max(rates[1:]) <= rates[0]
         yield _item(
             "sensors are there and their rates fit",
             whole and slower,
-            f"IMU {rates[0]:g} Hz, motion capture {rates[1]:g} Hz",
+            said,
             f"{robot_toml}: sensors: choose rates that divide {PHYSICS_RATE:g} Hz, the IMU's the higher",
         )
     except AerotactError as failure:

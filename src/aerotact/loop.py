@@ -3,16 +3,19 @@
 import time as clock
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from aerotact.controller import Controller, Status
+from aerotact.estimation.surface import SurfaceEstimator
 from aerotact.exceptions import AerotactError, LoopError
 from aerotact.log import Log
+from aerotact.plant.camera import DepthCamera
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
+from aerotact.plant.surface import SurfaceAhead
 from aerotact.ports import Array, Port
 
 COMMANDS = ("thrust_cmd", "tilt_cmd")
@@ -32,6 +35,13 @@ _TRUTH = {
     "v_WE": ("m/s", "W"),
     "f_tool_W": ("N", "W"),
     "f_contact_W": ("N", "W"),
+}
+SURFACE = {
+    "surface_distance": Port(
+        "surface_distance", 1, "m", doc="from the tool's tip to the surface along the tool's axis"
+    ),
+    "n_W": Port("n_W", 3, "1", "W", doc="unit normal of the surface, towards the robot"),
+    "surface_valid": Port("surface_valid", 1, "1", doc="1 if there is a surface", kind="flag"),
 }
 WATCH_EVERY = 500  # physics steps
 LOST = 20.0  # m from the start; no experiment goes so far
@@ -95,6 +105,13 @@ class Loop:
             **sensors.force_torque(),
             "mocap_fresh": np.zeros(1),
         }
+        self._sight = _Sight(plant, sensors.depth_camera) if sensors.depth_camera else None
+        if self._sight:
+            self._bus.update(self._sight.truth())
+            self._frame_every = self._every(self._sight.rate, "the depth camera")
+            if self._frame_every % self._imu_every:
+                imu = f"{sensors.imu_rate:g} Hz, the IMU's, divided by a whole number"
+                raise LoopError(f"the depth camera runs at {self._sight.rate:g} Hz; valid: {imu}")
         for block in (*self.estimators, controller):
             missing = [name for name in block.measurement if name not in self._bus]
             if missing:
@@ -102,6 +119,8 @@ class Loop:
                     f"nothing serves {', '.join(missing)} of {block.name}; there is: {', '.join(self._bus)}"
                 )
             self._bus.update({name: value.copy() for name, value in block.output.items()})
+        if self._sight and not wiring.truth and "q_WB" not in self._bus:
+            raise LoopError(f"nothing serves q_WB of the depth camera; there is: {', '.join(self._bus)}")
         self._commands = COMMANDS if plant.robot.tilts else COMMANDS[:1]
         if any(name not in controller.output for name in self._commands):
             raise LoopError(
@@ -138,7 +157,7 @@ class Loop:
                 (self.controller, self._control_every),
             ]
         ]
-        recorder = _Recorder(self.plant, self.controller, self.wiring.reference, steps)
+        recorder = _Recorder(self.plant, self.controller, self.wiring.reference, steps, self._sight, self._bus)
         self._solve_times: list[float] = []
         self._statuses = {block.name: Counter[str]() for block in (*self.estimators, self.controller)}
         pending: deque[tuple[int, list[Array]]] = deque()
@@ -204,6 +223,8 @@ class Loop:
             if self.wiring.truth:
                 truth = self.plant.truth()
                 bus.update({name: truth[name] for name in STATE_SIGNALS})
+        if self._sight and (self.wiring.truth or k % self._frame_every == 0):
+            bus.update(self._sight.truth() if self.wiring.truth else self._sight.look(bus["q_WB"]))
 
     def _control(self, k: int, table: "_ReferenceTable") -> float:
         controller = self.controller
@@ -217,6 +238,24 @@ class Loop:
         self._statuses[controller.name][status.name] += 1
         delay, dt = self.wiring.delay, self.plant.timestep
         return float(np.ceil(taken / dt) * dt) if delay == "measured" else delay
+
+
+class _Sight:
+    """The surface ahead of the tool: as it is, and as the depth camera shows it."""
+
+    def __init__(self, plant: Plant, camera: DepthCamera) -> None:
+        self.rate = camera.rate
+        self._camera = camera
+        self._estimator = SurfaceEstimator(camera.p_EC, camera.R_EC, plant.robot.R_BE)
+        self._ahead = SurfaceAhead(plant, self._estimator.limits.reach)
+
+    def truth(self) -> dict[str, Array]:
+        """The signals of SURFACE by the world's geometry."""
+        return self._ahead.sample()
+
+    def look(self, q_WB: Array) -> dict[str, Array]:
+        """The signals of SURFACE from a new frame of the camera."""
+        return self._estimator.signals(self._camera.points(), q_WB)
 
 
 class _ReferenceTable:
@@ -250,8 +289,16 @@ def _declared(port: Mapping[str, Any], suffix: str = "") -> Port:
 class _Recorder:
     """Preallocated rows, one a physics step: truth, what was wanted then, what the controller got and gave."""
 
-    def __init__(self, plant: Plant, controller: Controller, reference: Reference, steps: int) -> None:
-        self._plant, self._controller = plant, controller
+    def __init__(
+        self,
+        plant: Plant,
+        controller: Controller,
+        reference: Reference,
+        steps: int,
+        sight: _Sight | None,
+        bus: Mapping[str, Array],
+    ) -> None:
+        self._plant, self._controller, self._sight, self._bus = plant, controller, sight, bus
         truth = plant.truth()
         self._truth_names = list(truth)
         ports = controller.manifest["ports"]
@@ -263,6 +310,11 @@ class _Recorder:
             *(_declared(p) for p in ports["output"]),
             *(_declared(p, "_est") for p in ports["measurement"]),
         ]
+        # What the camera shows is logged even if the controller does not ask for it.
+        self._unasked = [n for n in SURFACE if sight and n not in controller.measurement]
+        if sight:
+            columns += SURFACE.values()
+            columns += [replace(SURFACE[n], name=f"{n}_est") for n in self._unasked]
         self._ports = {port.name: port for port in columns}
         self._arrays = {name: np.full((steps, port.size), np.nan) for name, port in self._ports.items()}
         times: Array = np.arange(steps) * plant.timestep
@@ -281,6 +333,11 @@ class _Recorder:
             arrays[name][k] = value
         for name, value in self._controller.measurement.items():
             arrays[f"{name}_est"][k] = value
+        if self._sight:
+            for name, value in self._sight.truth().items():
+                arrays[name][k] = value
+            for name in self._unasked:
+                arrays[f"{name}_est"][k] = self._bus[name]
 
     def first(self, rows: int) -> tuple[dict[str, Array], dict[str, Port]]:
         """Columns of the first `rows` rows, and their ports."""

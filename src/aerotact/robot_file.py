@@ -87,6 +87,20 @@ class ForceTorqueEntry(_Strict):
     drift: Quantity
 
 
+class DepthCameraEntry(_Strict):
+    """Time-of-flight camera: rate in Hz, columns and rows, angles of view, shortest and longest range, noise.
+
+    Its site looks along z, with x to the right of the picture and y down.
+    """
+
+    site: str
+    rate: float = Field(gt=0)
+    resolution: tuple[int, int]
+    field_of_view: Quantity
+    range: Quantity
+    range_noise: Quantity
+
+
 class SensorEntries(_Strict):
     """The sensors that the robot carries."""
 
@@ -95,6 +109,7 @@ class SensorEntries(_Strict):
     rotor_speed: RotorSpeedEntry
     tilt_encoder: TiltEncoderEntry | None = None
     force_torque: ForceTorqueEntry | None = None
+    depth_camera: DepthCameraEntry | None = None
 
 
 class RobotFile(_Strict):

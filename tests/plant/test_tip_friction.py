@@ -1,5 +1,7 @@
 """Tip friction: the exact step, dissipation, and the tip sliding on a table and on a wall."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -112,6 +114,36 @@ def test_tip_slides_without_hopping(world: str, tilt_hex: Robot, octorotor: Robo
     across = np.cross(press, glide_W)
     assert np.abs(np.array(forces)[sliding] @ across).max() < 0.02
     assert np.abs(np.diff(normal[sliding])).max() < 0.01
+
+
+def test_plate_on_a_slide_is_dragged_along_until_it_moves_with_the_tip(octorotor: Robot, tmp_path: Path) -> None:
+    """Friction acts on both: the plate gains what the tip loses, mu N / m, until it sticks to the tip."""
+    file = tmp_path / "plate.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="plate" pos="1.05 0 1.2" gravcomp="1">'
+        '<joint name="rail" type="slide" axis="0 1 0"/>'
+        '<geom name="surface" type="box" size="0.05 0.5 0.5" mass="8" contype="1" conaffinity="1" condim="1" '
+        'friction="0.5"/></body></worldbody></mujoco>'
+    )
+    y = np.array([0.0, 1.0, 0.0])
+    plant = Plant(octorotor, file, disturbances=[Hand(np.array([5.0, 0, 0]), 0.3 * y, 0.4)])
+    plant.reset(p_WB=[0.29, 0.0, 1.2])
+    forces, speeds, tips = [], [], []
+    for _ in range(2500):
+        plant.step()
+        truth = plant.truth()
+        forces.append(truth["f_contact_W"])
+        speeds.append(plant.data.joint("rail").qvel[0])
+        tips.append(truth["v_WE"][1])
+    impulse = -np.array(forces)[:, 1].sum() * plant.timestep
+    assert 8.0 * speeds[-1] == pytest.approx(impulse, rel=1e-9)
+    assert speeds[-1] == pytest.approx(tips[-1], abs=1e-3)
+    assert speeds[-1] > 0.25
+    slipping = np.array(tips) - np.array(speeds) > 0.02
+    assert slipping.sum() > 100
+    friction, normal = -np.array(forces)[slipping, 1], -np.array(forces)[slipping, 0]
+    np.testing.assert_allclose(friction[20:], 0.5 * normal[20:], rtol=0.02)
+    assert np.abs(np.array(forces)[-200:, 1]).max() < 0.5 * normal.min(), "inside the cone"
 
 
 def test_tip_sticks_within_the_cone(tilt_hex: Robot) -> None:

@@ -16,14 +16,14 @@ def test_worlds_of_the_package() -> None:
     assert set(world_files()) >= {"floor", "wall", "table"}
 
 
-@pytest.mark.parametrize("world", ["floor", "wall", "table"])
+@pytest.mark.parametrize("world", ["floor", "wall", "table", "pitched_wall", "undulating_wall"])
 def test_only_surfaces_collide(world: str, tilt_hex: Robot) -> None:
     model = Plant(tilt_hex, world).model
-    of_world = np.flatnonzero(model.geom_bodyid == 0)
+    of_world = np.flatnonzero(model.body_rootid[model.geom_bodyid] != model.body(tilt_hex.file.robot.base).rootid)
     assert of_world.size > 0
     colliding = [model.geom(g).name for g in of_world if model.geom_contype[g] or model.geom_conaffinity[g]]
     assert all(name.startswith("surface") for name in colliding)
-    assert len(colliding) == (world != "floor")
+    assert len(colliding) == {"floor": 0, "undulating_wall": 30}.get(world, 1)
 
 
 def test_faces_are_where_they_are_said_to_be(tilt_hex: Robot) -> None:
@@ -33,6 +33,14 @@ def test_faces_are_where_they_are_said_to_be(tilt_hex: Robot) -> None:
     assert table.pos[2] + table.size[2] == pytest.approx(0.8, abs=1e-15)
     assert wall.friction[0] == 0.5
     assert table.friction[0] == 0.4
+
+
+def test_pitched_wall_leans_back_by_30_degrees(octorotor: Robot) -> None:
+    plant = Plant(octorotor, "pitched_wall")
+    wall = plant.data.geom("surface_wall")
+    n_W = -wall.xmat.reshape(3, 3)[:, 0]
+    np.testing.assert_allclose(n_W, [-np.cos(np.pi / 6), 0, np.sin(np.pi / 6)], atol=1e-12)
+    np.testing.assert_allclose(wall.xpos + 0.05 * n_W, [1, 0, 1.2], atol=1e-12)
 
 
 def test_robots_options_stay(robot: Robot) -> None:
@@ -87,7 +95,9 @@ def test_robot_without_tool_in_a_world_with_other_contacts(octorotor: Robot, tmp
 
 
 def test_unknown_world_is_refused(tilt_hex: Robot) -> None:
-    with pytest.raises(UnknownName, match=r"unknown world 'wal'; valid: floor, table, wall"):
+    with pytest.raises(
+        UnknownName, match=r"unknown world 'wal'; valid: floor, pitched_wall, table, undulating_wall, wall"
+    ):
         Plant(tilt_hex, "wal")
 
 

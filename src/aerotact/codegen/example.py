@@ -9,6 +9,7 @@ import numpy as np
 from aerotact.codegen.functions import emit, number, signature
 from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
+from aerotact.estimation.surface import SurfaceLimits
 from aerotact.exceptions import CodegenError
 from aerotact.ports import Array, Layout
 
@@ -28,7 +29,7 @@ class Example:
 
 
 def signals(model: Model, x: Any) -> dict[str, Any]:
-    """Every measurement by name, without noise, of the undisturbed model in state x (a CasADi column)."""
+    """Every measurement by name, without noise, of the undisturbed model in empty space, state x a CasADi column."""
     s = model.state.split(x)
     a_WB, dw_B = model.accelerations(x, ca.DM.zeros(model.disturbance.size))
     lever = ca.DM(model.robot.p_BI)
@@ -39,7 +40,6 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
     p_WE, q_WE = model.tool_pose(x)
     v_WE, w_E = model.tool_twist(x)
     zero = ca.DM.zeros(3)
-    no_surface = {"surface_distance": ca.DM(10), "n_W": zero, "surface_valid": ca.DM(0)}
     return {
         **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B")},
         **{f"{port.name}_measured": s[port.name] for port in model.actuators},
@@ -55,7 +55,9 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
         "v_WE": v_WE,
         "w_E": w_E,
         **_force_torque(model, w_B, dw_B, ca.mtimes(R_BW, a_WB - gravity_W)),
-        **no_surface,
+        "surface_distance": ca.DM(SurfaceLimits().reach),
+        "n_W": -so3.rotation(q_WE)[:, 2],
+        "surface_valid": ca.DM(0),
     }
 
 

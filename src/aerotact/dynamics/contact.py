@@ -53,10 +53,10 @@ def tangential(n_W: Any, vector_W: Any) -> Any:
     return vector_W - ca.dot(n_W, vector_W) * n_W
 
 
-def tool_wrench(model: Model, x: Any, f_tool_W: Any) -> Any:
+def tool_wrench(model: Model, q_WB: Any, f_tool_W: Any) -> Any:
     """Force on the tool's tip, N in W, as a wrench p of the model, (6,): force in W, torque about the COM in B."""
     p_CE = ca.DM(model.robot.p_BE - model.robot.p_BC)
-    f_B = ca.mtimes(so3.rotation(x[3:7]).T, f_tool_W)
+    f_B = ca.mtimes(so3.rotation(q_WB).T, f_tool_W)
     return ca.vertcat(f_tool_W, ca.cross(p_CE, f_B))
 
 
@@ -73,7 +73,7 @@ def normal_force(model: Model, x: Any, p: Any, surface: Surface) -> tuple[Any, A
         F, N, and f_tool_W = F (n_W - mu s), N in W.
     """
     n, p_BE = surface.n_W, ca.DM(model.robot.p_BE)
-    R_WB = so3.rotation(x[3:7])
+    R_WB = so3.rotation(model.state.split(x)["q_WB"])
     v_WE, _ = model.tool_twist(x)
     v_n = ca.dot(n, v_WE)
     sliding = tangential(n, v_WE)

@@ -46,7 +46,7 @@ def contact_observer(model: Model, rate: float) -> Block:
     specific_force_B = b.measurement(
         "specific_force_B", 3, "m/s^2", frame="B", doc="at the IMU, bias removed", default=(0.0, 0.0, robot.gravity)
     )
-    rotors = add_rotor_wrench(b, model)
+    rotors, _ = add_rotor_wrench(b, model)
     f_S = b.measurement("f_sensor_S", 3, "N", frame="S", doc="sensor's force, by the robot, with the tool's weight")
     tau_S = b.measurement("tau_sensor_S", 3, "N m", frame="S", doc="sensor's torque, by the robot, about its origin")
     seen_n = b.measurement("n_W", 3, "1", frame="W", doc="unit normal of the surface, towards the robot")

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from aerotact.loop import Reference
 from aerotact.ports import Array
 
 _STEP = 1e-4  # s, of the difference that gives the angular acceleration
@@ -37,9 +38,17 @@ class Hold:
 
 
 class Waypoints:
-    """A smooth motion through poses: quintic splines of position and of the rotation vector, at rest at both ends."""
+    """A smooth motion through poses: quintic splines of position and of the rotation vector."""
 
-    def __init__(self, p_WE: Array, q_WE: Array, times: Sequence[float], offsets: Array, turns: Array) -> None:
+    def __init__(
+        self,
+        p_WE: Array,
+        q_WE: Array,
+        times: Sequence[float],
+        offsets: Array,
+        turns: Array,
+        at_rest: bool = True,
+    ) -> None:
         """Fit the splines.
 
         Args:
@@ -47,13 +56,15 @@ class Waypoints:
             times: of the waypoints, s, increasing.
             offsets: of the position in W, m, shape (n, 3).
             turns: rotation vectors in the tool's axes at the start pose, rad, shape (n, 3), each shorter than pi.
+            at_rest: velocity and acceleration vanish at both ends. If not, third and fourth derivatives do (a natural
+                spline), and something else must see to rest (see `trajectory.TimeScaled`).
         """
         # The stubs know derivatives of scalar splines only.
-        at_rest: Any = ([(1, np.zeros(3)), (2, np.zeros(3))],) * 2
+        ends: Any = ([(order, np.zeros(3)) for order in ((1, 2) if at_rest else (3, 4))],) * 2
         self._start, self._stop = times[0], times[-1]
         self._p_WE, self._R_WE = p_WE, Rotation.from_quat(q_WE, scalar_first=True)
-        self._position: BSpline = make_interp_spline(times, offsets, k=5, bc_type=at_rest)
-        self._turn: BSpline = make_interp_spline(times, turns, k=5, bc_type=at_rest)
+        self._position: BSpline = make_interp_spline(times, offsets, k=5, bc_type=ends)
+        self._turn: BSpline = make_interp_spline(times, turns, k=5, bc_type=ends)
 
     def _rate(self, times: Array) -> Array:
         """Angular velocity in E, rad/s: right Jacobian of SO(3) times the rate of the rotation vector."""
@@ -91,10 +102,25 @@ class WithFlags:
         flags: signal -> (start, stop) in s.
     """
 
-    motion: Hold | Waypoints
+    motion: Reference
     flags: Mapping[str, tuple[float, float]]
 
     def sample(self, times: Array) -> dict[str, Array]:
         """Motion and flags, one row a time."""
         on = {name: ((times >= a) & (times < b)).astype(float)[:, None] for name, (a, b) in self.flags.items()}
         return {**self.motion.sample(times), **on}
+
+
+@dataclass(frozen=True)
+class Together:
+    """References that serve different signals at the same time.
+
+    Attributes:
+        parts: of two that serve the same signal, the later one counts.
+    """
+
+    parts: Sequence[Reference]
+
+    def sample(self, times: Array) -> dict[str, Array]:
+        """Signals of all parts, one row a time."""
+        return {name: values for part in self.parts for name, values in part.sample(times).items()}

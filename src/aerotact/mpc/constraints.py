@@ -72,13 +72,8 @@ class Rows:
 
 NO_ROWS = Rows(lambda _x, _stage: None, *(np.zeros(0),) * 4, terminal=0.0)
 
-BOUNDS = {
-    "thrust": "lowest and highest thrust at every node, and of the command that is sent",
-    "thrust_rate": "lowest and highest rate of the actual thrust",
-    "tilt": "lowest and highest tilt angle at every node, and of the command that is sent",
-    "tilt_rate": "lowest and highest rate of the actual tilt angle",
-}
-NEEDS = {"tilt": "tilt", "tilt_rate": "tilt"}  # capabilities, by constraint
+BOUNDS: dict[str, tuple[str, ...]] = {"thrust": (), "thrust_rate": (), "tilt": ("tilt",), "tilt_rate": ("tilt",)}
+"""Bound -> capabilities that it needs."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +104,7 @@ def _upright(model: Model, x: Any, p: dict[str, Any]) -> Any:
 def _approach_speed(model: Model, x: Any, p: dict[str, Any]) -> Any:
     v_n = ca.dot(p["n_W"], model.tool_twist(x)[0])
     distance = ca.fmax(ca.dot(p["n_W"], model.tool_pose(x)[0]) - p["offset"], 0)
-    return v_n + p["approach_offset"] + p["approach_slope"] * distance
+    return v_n + p["approach_speed"] + p["approach_slope"] * distance
 
 
 def _cone(entry: RowEntry) -> tuple[list[float], list[float]]:
@@ -122,7 +117,7 @@ ROWS = {
         Row("attitude_tilt", "angle of the base's z axis to the vertical, rad", (), ("max",), (), _upright, _cone),
         Row(
             "approach_speed",
-            "speed of the tip towards the surface, at most approach_offset + approach_slope * distance",
+            "speed of the tip towards the surface, at most approach_speed + approach_slope * distance",
             ("tool",),
             (),
             ("contact",),
@@ -140,7 +135,8 @@ ROWS = {
         ),
     )
 }
-CONSTRAINTS = {**BOUNDS, **{row.name: row.doc for row in ROWS.values()}}
+CONSTRAINTS = {**BOUNDS, **{row.name: row.needs for row in ROWS.values()}}
+"""Constraint -> capabilities that it needs."""
 
 
 def make_rows(
@@ -193,7 +189,7 @@ def _sides(path: Path, row: Row, entry: RowEntry) -> tuple[list[float], list[flo
 
 
 def make_bounds(model: Model, names: list[str]) -> Bounds:
-    """Bounds of the named constraints (each a key of CONSTRAINTS)."""
+    """Bounds of the named constraints (each a key of BOUNDS)."""
     known = {"thrust": (model.thrust_limits, model.thrust_rate_limits)}
     if model.tilts:
         known["tilt"] = (model.tilt_limits, model.tilt_rate_limits)

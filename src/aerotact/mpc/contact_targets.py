@@ -16,9 +16,7 @@ from typing import Any
 import casadi as ca
 
 from aerotact.dynamics import so3
-from aerotact.dynamics.admittance import ToolMotion
 from aerotact.dynamics.contact import SMOOTH_GAP, tangential
-from aerotact.dynamics.model import Model
 from aerotact.ports import BlockBuilder, Port
 
 FORCE_WANTED = 0.05  # N; a smaller reference is none
@@ -35,7 +33,7 @@ CONTACT_PORTS = (
     Port("push", 1, "1"),
     Port("approach", 1, "1"),
     Port("v_approach", 1, "m/s"),
-    Port("approach_offset", 1, "m/s"),
+    Port("approach_speed", 1, "m/s"),
     Port("approach_slope", 1, "1/s"),
 )
 
@@ -47,28 +45,20 @@ class ContactTargets:
     Attributes:
         columns: values of CONTACT_PORTS at each node.
         f_tool_W: force of the surface on the tool that is expected at each node, N in W.
-        push: 1 in approach and push.
-        approach: 1 in approach.
-        f_push: force wanted now, N.
+        telemetry: for the log.
     """
 
     columns: list[list[Any]]
     f_tool_W: list[Any]
-    push: Any
-    approach: Any
-    f_push: Any
+    telemetry: list[tuple[Port, Any]]
 
 
-def add_contact(
-    b: BlockBuilder, model: Model, x: Any, desired: list[ToolMotion], times: list[float], rate: float
-) -> ContactTargets:
+def add_contact(b: BlockBuilder, pose: tuple[Any, Any], times: list[float], rate: float) -> ContactTargets:
     """Declare ports, parameters and memory of the contact, and compute its targets.
 
     Args:
         b: of the block of targets.
-        model: of the robot.
-        x: measured state.
-        desired: motion of the tool at each node.
+        pose: measured pose of the tool, p_WE m and q_WE.
         times: nodes, s.
         rate: Hz.
     """
@@ -83,7 +73,7 @@ def add_contact(
 
     stiffness = b.parameter("stiffness", 1, "N/m", 2000.0, doc="of the compliant contact predictor", lower=1.0)
     damping = b.parameter("damping", 1, "N s/m", 150.0, doc="of the compliant contact predictor", lower=0.0)
-    slow = b.parameter("approach_offset", 1, "m/s", 0.004, doc="speed of approach at the surface", lower=0.0)
+    slow = b.parameter("approach_speed", 1, "m/s", 0.004, doc="speed of approach at the surface", lower=0.0)
     slope = b.parameter("approach_slope", 1, "1/s", 1.0, doc="growth of that speed with the distance", lower=0.0)
     fast = b.parameter("approach_limit", 1, "m/s", 0.08, doc="highest speed of approach", lower=0.0)
     reach = b.parameter("reach", 1, "m", 0.2, doc="distance within which a force is striven for", lower=0.0)
@@ -91,7 +81,7 @@ def add_contact(
     preload = b.parameter("preload", 1, "N", 0.5, doc="force wanted when contact is made", lower=0.0)
 
     # the plane: far in front of the tip where none is seen
-    p_WE, q_WE = model.tool_pose(x)
+    p_WE, q_WE = pose
     z_E = so3.rotation(q_WE)[:, 2]
     known = valid > 0
     n = ca.if_else(known, seen_n, -z_E)
@@ -123,4 +113,9 @@ def add_contact(
             [n, offset, friction, stiffness, damping, pushing, f_push, wanted, approaching, speed, slow, slope]
         )
         forces.append(touching * (ca.if_else(wanted, f_push, ca.fmax(normal, 0)) * n + tangential(n, f_tip_W)))
-    return ContactTargets(columns, forces, wanted, approaching, columns[0][6])
+    telemetry = [
+        (Port("f_push", 1, "N", doc="force wanted now"), columns[0][6]),
+        (Port("pushing", 1, "1", doc="1 while force is controlled", kind="flag"), pushing),
+        (Port("approaching", 1, "1", doc="1 while the surface is approached", kind="flag"), approaching),
+    ]
+    return ContactTargets(columns, forces, telemetry)

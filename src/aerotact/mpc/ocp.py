@@ -8,12 +8,13 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics.actuators import actuator_limiter, held_command_gain
+from aerotact.dynamics.contact import normal_force, tool_wrench
 from aerotact.dynamics.model import CAPABILITIES, Model
 from aerotact.exceptions import InputError, MissingCapability, ProblemError, UnknownName
 from aerotact.laws import laws
-from aerotact.mpc.constraints import CONSTRAINTS, NEEDS, make_bounds
+from aerotact.mpc.constraints import BOUNDS, CONSTRAINTS, ROWS, make_bounds, make_rows
 from aerotact.mpc.problem import ProblemFile, ResidualEntry, load_problem
-from aerotact.mpc.residuals import RESIDUALS, Residual
+from aerotact.mpc.residuals import RESIDUALS, Residual, surface
 from aerotact.mpc.targets import Targets, make_targets
 from aerotact.mpc.transcription import Statement, Transcription, held_gains, transcribe
 from aerotact.ports import Block, Layout, Port
@@ -112,11 +113,14 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
         for name in given:
             if name not in valid:
                 raise ProblemError(path, title, f"unknown '{name}'", f"valid: {', '.join(sorted(valid))}")
+    for name in file.constraints:
+        if name in BOUNDS and file.constraints[name] != "hard":
+            raise ProblemError(path, f"constraints.{name}", "is a limit of the actuators", 'it can only be "hard"')
     residuals = [RESIDUALS[name] for name in file.residuals]
     needs = [
         *file.problem.needs,
         *(n for r in residuals for n in r.needs),
-        *(NEEDS[name] for name in file.constraints if name in NEEDS),
+        *(n for name in file.constraints for n in CONSTRAINTS[name]),
     ]
     unknown = sorted(set(needs) - set(CAPABILITIES))
     if unknown:
@@ -172,7 +176,7 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
         wrench = ca.vertcat(parts["f_ext_W"], parts["tau_ext_B"])
         if "n_W" in parts:
             _, f_tool_W = normal_force(model, x, wrench, surface(parts))
-            wrench = wrench + tool_wrench(model, x, f_tool_W)
+            wrench = wrench + tool_wrench(model, model.state.split(x)["q_WB"], f_tool_W)
         return model.derivative(x, rate, wrench)
 
     def terms(x: Any, u: Any, stage: Any, parameters: Any) -> tuple[Any, Any]:
@@ -201,6 +205,7 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
         command=model.command,
         bounds=make_bounds(model, list(file.constraints)),
         damping=file.solver.levenberg_marquardt,
+        rows=make_rows(path, model, file.constraints, targets.stage, file.problem.terminal),
     )
 
 

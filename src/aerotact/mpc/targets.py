@@ -11,8 +11,10 @@ import casadi as ca
 
 from aerotact.dynamics import admittance as adm
 from aerotact.dynamics import so3
+from aerotact.dynamics.contact import tool_wrench
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.rotors import least_thrust
+from aerotact.mpc.contact_targets import CONTACT_PORTS, add_contact
 from aerotact.ports import Array, Block, BlockBuilder, Layout, Port
 
 
@@ -120,7 +122,7 @@ def make_targets(
         model: of the robot.
         times: nodes, s.
         rate: Hz.
-        uses: which targets the residuals need: "desired", "admittance", "trim".
+        uses: which targets the residuals need: "desired", "admittance", "trim", "contact".
         weights: parameter ports of the residuals' weights.
     """
     b = BlockBuilder(name, "aerotact", rate, doc)
@@ -130,14 +132,15 @@ def make_targets(
         b.measurement("v_WB", 3, "m/s", frame="W", doc="velocity of the base"),
         b.measurement("w_B", 3, "rad/s", frame="B", doc="angular velocity of the base"),
     )
-    f_ext = b.measurement("f_ext_W", 3, "N", frame="W", doc="force of the environment on the robot")
-    tau_ext = b.measurement("tau_ext_B", 3, "N m", frame="B", doc="its torque about the centre of mass")
+    # Where the contact is predicted, what is measured is the rest.
+    which, rest = ("dist", ", the tool's contact excluded") if "contact" in uses else ("ext", "")
+    f_ext = b.measurement(f"f_{which}_W", 3, "N", frame="W", doc=f"force of the environment on the robot{rest}")
+    tau_ext = b.measurement(f"tau_{which}_B", 3, "N m", frame="B", doc="its torque about the centre of mass")
     for port in weights:
         b.parameter(port.name, port.size, port.unit, port.default, doc=port.doc, lower=0.0)
     desired = _motions(b, model, len(times))
     reference = _admittance(b, desired, times) if "admittance" in uses else None
     target = reference or desired
-    actuators = {p.name: b.measurement(p.name, p.size, p.unit, doc=f"modelled {p.name}") for p in model.actuators}
 
     ports = [Port("f_ext_W", 3, "N", "W"), Port("tau_ext_B", 3, "N m", "B")]
     columns: list[list[Any]] = [[f_ext, tau_ext] for _ in times]
@@ -149,22 +152,31 @@ def make_targets(
         for column, motion in zip(columns, motions, strict=True):
             w_E = ca.mtimes(so3.rotation(motion.q_WE).T, motion.w_WE)
             column += [motion.p_WE, motion.q_WE, motion.v_WE, w_E]
+    expected = [(f_ext, tau_ext) for _ in times]
+    telemetry: list[tuple[Port, Any]] = [
+        (Port("p_WE_r", 3, "m", "W", "tool position aimed at"), target[0].p_WE),
+        (Port("q_WE_r", 4, "1", "W", "tool attitude aimed at", kind="quaternion"), target[0].q_WE),
+        (Port("v_WE_r", 3, "m/s", "W", "tool velocity aimed at"), target[0].v_WE),
+    ]
+    if "contact" in uses:
+        contact = add_contact(b, model.tool_pose(ca.vertcat(x, ca.SX.zeros(model.actuators.size))), times, rate)
+        ports += CONTACT_PORTS
+        telemetry += contact.telemetry
+        for k, (column, own, motion) in enumerate(zip(columns, contact.columns, target, strict=True)):
+            column += own
+            q_WB = so3.product(motion.q_WE, so3.conjugate(ca.DM(model.q_BE)))
+            wrench = tool_wrench(model, q_WB, contact.f_tool_W[k])
+            expected[k] = (f_ext + wrench[0:3], tau_ext + wrench[3:6])
+    actuators = {p.name: b.measurement(p.name, p.size, p.unit, doc=f"modelled {p.name}") for p in model.actuators}
     if "trim" in uses:
         ports += [Port(f"{p.name}_trim", p.size, p.unit) for p in model.actuators]
         tilt = actuators.get("tilt")
-        for column, motion in zip(columns, target, strict=True):
-            trim = _trim(model, motion, f_ext, tau_ext, tilt)
+        for column, motion, wrench in zip(columns, target, expected, strict=True):
+            trim = _trim(model, motion, *wrench, tilt)
             column += [trim[p.name] for p in model.actuators]
             tilt = trim.get("tilt")
     b.output("x0", ca.vertcat(x, *actuators.values()), "1")
     b.output("stage", ca.horzcat(*[ca.vertcat(*c) for c in columns]), "1")
-    telemetry = Layout(
-        [
-            Port("p_WE_r", 3, "m", "W", "tool position aimed at"),
-            Port("q_WE_r", 4, "1", "W", "tool attitude aimed at", kind="quaternion"),
-            Port("v_WE_r", 3, "m/s", "W", "tool velocity aimed at"),
-        ]
-    )
-    for port, value in zip(telemetry, (target[0].p_WE, target[0].q_WE, target[0].v_WE), strict=True):
+    for port, value in telemetry:
         b.output(port.name, value, port.unit, frame=port.frame, doc=port.doc, kind=port.kind)
-    return Targets(b.build(), Layout(ports), telemetry)
+    return Targets(b.build(), Layout(ports), Layout(port for port, _ in telemetry))

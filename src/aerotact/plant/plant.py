@@ -265,6 +265,8 @@ class Plant:
         total = np.zeros(3)
         for contact, force in zip(contacts, self.tip.friction_forces(contacts), strict=True):
             self.push(self.tip.body, force, contact.p_WC)
+            if surface := self.tip.moving_body(contact):
+                self.push(surface, -force, contact.p_WC)
             total += force
         mujoco.mj_step2(self.model, self.data)
         self.tip.read_normal_forces()

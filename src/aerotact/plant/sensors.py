@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from aerotact.exceptions import RobotError
+from aerotact.plant.camera import DepthCamera
 from aerotact.plant.plant import Plant
 from aerotact.ports import Array
 from aerotact.robot import Robot
@@ -17,6 +18,7 @@ class Sensors:
         imu_rate: Hz.
         mocap_rate: Hz.
         force_torque_rate: Hz, or None without that sensor.
+        depth_camera: the robot's, or None; its noise has a stream of its own.
         biases: errors drawn once from the seed: accelerometer_B (m/s2) and gyro_B (rad/s), constant, and of a
             force/torque sensor f_sensor_S (N), which walks, and tau_sensor_S (N m); shape (3,) each.
     """
@@ -31,7 +33,7 @@ class Sensors:
 
         Raises:
             RobotError: plant.xml lacks a sensor at the site that robot.toml names, a noise is negative, of the wrong
-                unit, or not one or three numbers, or rotors tilt and no encoder measures it.
+                unit, or not one or three numbers, or rotors tilt and no encoder measures it; or as DepthCamera.
         """
         self._plant = plant
         self._file = robot.folder / "robot.toml"
@@ -60,6 +62,10 @@ class Sensors:
                 "is not on the base body",
                 f"put it into body '{robot.file.robot.base}'",
             )
+        camera = entries.depth_camera
+        # A child of the seed, so that the other sensors' noise is the same with and without a camera.
+        stream = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
+        self.depth_camera = DepthCamera(plant, robot, camera, stream) if camera else None
         self._R_BI = R_BI.reshape(3, 3)
         kinds, imu_site = mujoco.mjtSensor, robot.file.robot.imu
         self._accelerometer = self._address(robot, kinds.mjSENS_ACCELEROMETER, "accelerometer", imu_site)

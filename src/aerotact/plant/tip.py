@@ -12,7 +12,7 @@ from aerotact.robot import Robot
 
 
 class Tip:
-    """The colliding geoms of the body that carries the tool's site. Surfaces are taken to be at rest.
+    """The colliding geoms of the body that carries the tool's site.
 
     Attributes:
         site: id of the tool's site, -1 without a tool.
@@ -66,8 +66,23 @@ class Tip:
         found = []
         for i, key, sign in self._touching():
             force = self.normal_forces.get(key, 0.0)
-            found.append(TipContact(key, points[i].copy(), sign * frames[i, :3], force, float(friction[key[1], 0])))
+            p_WC, n_W = points[i].copy(), sign * frames[i, :3]
+            v_WS = self._surface_velocity(key[1], p_WC)
+            found.append(TipContact(key, p_WC, n_W, force, float(friction[key[1], 0]), v_WS))
         return found
+
+    def moving_body(self, contact: TipContact) -> int:
+        """Id of the body that carries the touched surface, 0 if it is at rest for good."""
+        body = int(self._model.geom_bodyid[contact.key[1]])
+        return body if self._model.body_weldid[body] else 0
+
+    def _surface_velocity(self, geom: int, p_WC: Array) -> Array:
+        body = int(self._model.geom_bodyid[geom])
+        if not self._model.body_weldid[body]:
+            return np.zeros(3)
+        twist = np.zeros(6)
+        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, twist, 0)
+        return np.asarray(twist[3:] + np.cross(twist[:3], p_WC - self._data.xpos[body]))
 
     def friction_forces(self, contacts: list[TipContact]) -> list[Array]:
         """Advance the friction by one timestep of the model: its force on the tip in W at each contact, N."""

@@ -32,6 +32,7 @@ class TipContact:
         n_W: unit normal out of the surface in W, shape (3,).
         normal_force: pressing force as solved last, N, not negative.
         friction: Coulomb coefficient of the surface.
+        v_WS: velocity of the surface at the contact point in W, m/s, shape (3,).
     """
 
     key: Key
@@ -39,6 +40,7 @@ class TipContact:
     n_W: Array
     normal_force: float
     friction: float
+    v_WS: Array = field(default_factory=lambda: np.zeros(3))
 
 
 def lugre_step(
@@ -102,7 +104,7 @@ class TipFriction:
         """Advance by one step.
 
         Args:
-            contacts: where the tip touches, surfaces at rest.
+            contacts: where the tip touches.
             v_WE: velocity of the tool's origin in W, m/s, shape (3,).
             w_W: angular velocity of the tool in W, rad/s, shape (3,).
             p_WE: position of the tool's origin in W, m, shape (3,).
@@ -119,6 +121,7 @@ class TipFriction:
             v = v_WE + np.array(
                 [w_W[1] * r[2] - w_W[2] * r[1], w_W[2] * r[0] - w_W[0] * r[2], w_W[0] * r[1] - w_W[1] * r[0]]
             )
+            v = v - contact.v_WS
             z = self.bristles.get(contact.key)
             z = np.zeros(3) if z is None else z - n * (n @ z)
             z, force = lugre_step(
