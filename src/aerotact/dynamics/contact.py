@@ -90,7 +90,7 @@ def normal_force(model: Model, x: Any, p: Any, surface: Surface) -> tuple[Any, A
     rigid = -(free + SETTLING * v_n) / slope
 
     depth = -gap(model, x, surface) / SMOOTH_GAP
-    penetration = SMOOTH_GAP * (ca.fmax(depth, 0) + ca.log1p(ca.exp(-ca.fabs(depth))))
+    penetration = SMOOTH_GAP * (ca.fmax(depth, 0) + ca.log1p(ca.exp(ca.fmin(depth, -depth))))
     touching = 1 / (1 + ca.exp(-ca.fmin(ca.fmax(depth, -30), 30)))
     compliant = surface.stiffness * penetration - surface.damping * touching * v_n
 

@@ -4,7 +4,7 @@ Three modes follow from the force wanted, the surface seen and the contact felt:
 
     free      no force is wanted, or no surface is within reach: the tool tracks its desired pose
     approach  a force is wanted and the tip is not at the surface: it moves there along the normal, ever slower
-    push      a force is wanted and the tip is in contact: along the normal the force is controlled, and not the position
+    push      a force is wanted and the tip is in contact: along the normal the force is controlled, not the position
 
 The force wanted begins at `preload` when contact is made and follows the reference within `force_rate`, so that a ramp
 that has begun before contact does no harm.
@@ -88,7 +88,7 @@ def add_contact(b: BlockBuilder, pose: tuple[Any, Any], times: list[float], rate
     gap = ca.if_else(known, -distance * ca.dot(n, z_E), FAR)
 
     touching = ca.logic_and(contact > 0, known)
-    wanted = ca.logic_and(f_ref[0] > FORCE_WANTED, ca.logic_and(known, ca.fabs(distance) < reach))
+    wanted = ca.logic_and(f_ref[0] > FORCE_WANTED, ca.logic_and(known, distance < reach))
     pushing = ca.logic_and(wanted, touching)
     approaching = ca.logic_and(wanted, ca.logic_not(touching))
 

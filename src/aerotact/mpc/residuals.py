@@ -3,8 +3,8 @@
 A residual block turns state, controls and stage parameters into terms; each term has a weight of its own, a parameter
 of the generated controller. The cost is the sum over stages of (stage length) * weight * term^2 / 2.
 
-Where a problem knows of a surface (one of its residuals uses "contact"), the pose and the speed along the surface's normal
-give way to approach and force while a force is wanted.
+Where a problem knows of a surface (one of its residuals uses "contact"), pose and speed along the surface's normal give
+way to approach and force while a force is wanted.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class Residual:
     """A residual block.
 
     Attributes:
-        uses: kinds of stage parameters that it reads: "desired" and "admittance" motions of the tool, "trim", "contact".
+        uses: kinds of stage parameters that it reads: "desired" or "admittance" motion of the tool, "trim", "contact".
         controls: it depends on the controls, so that it has no terminal part.
         build: (model, x, u, stage parameters by name) -> one expression a term.
     """
