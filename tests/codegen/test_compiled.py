@@ -88,7 +88,6 @@ def test_mpc_equals_casadi(ocp: Ocp, mpc_c: CProject, native: Callable[[CProject
         "fallback": (fallback.step, block_inputs(fallback)),
     }
     library = native(mpc_c)
-    # The linearisation takes all stages at once: test_lanes.py.
-    assert library.declared == [f"{ocp.name}_{part}" for part in (*tested, "linearise")]
+    assert library.declared == [f"{ocp.name}_{part}" for part in tested]
     for part, (function, inputs) in tested.items():
         _compare(library, f"{ocp.name}_{part}", function, inputs)

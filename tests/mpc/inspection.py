@@ -5,8 +5,11 @@ from typing import Any
 import cffi
 import numpy as np
 
+from aerotact.codegen.backends import aerotact_places
+from aerotact.codegen.lanes import constant_entries
 from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import CProject
+from aerotact.codegen.rti_sources import stage_pattern
 from aerotact.controller import Controller
 from aerotact.mpc.ocp import Ocp
 from aerotact.ports import Array
@@ -24,21 +27,25 @@ class Inspected(Controller):
             **{"x": (N + 1, nx), "u": (N, nu), "plan_x": (N + 1, nx), "plan_u": (N, nu)},
             **{"stage": (N + 1, ocp.targets.stage.size), "limiter": (nu,), "state": (ocp.targets.block.state.size,)},
             **{"fallback_state": (ocp.fallback.state.size,)},
-            **{"qp_data.A": (N, ndx, ndx), "qp_data.B": (N, ndx, nu), "qp_data.b": (N, ndx)},
-            **{"qp_data.Q": (N + 1, ndx, ndx), "qp_data.S": (N, nu, ndx), "qp_data.R": (N, nu, nu)},
-            **{"qp_data.q": (N + 1, ndx), "qp_data.r": (N, nu), "qp_data.lbu": (N, nu), "qp_data.ubu": (N, nu)},
+            **{"qp_data.lbu": (N, nu), "qp_data.ubu": (N, nu)},
             **{"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)},
+            **{f"qp_workspace.{a}": (N, -1) for a in ("G", "gain", "c")},
+            **{f"qp_workspace.{a}": (N + 1, -1) for a in ("hv", "q")},
             **{"qp_solution.x": (N + 1, ndx), "qp_solution.u": (N, nu)},
         }
         of_rti = ("x", "u", "stage")  # the iteration's own; the rest is the controller's
         places = [f"rti.{f}" if f in of_rti or f.startswith("qp_") else f for f in shapes]
-        cases = "\n".join(f"    case {i}: return (double *)(void *)w->{place};" for i, place in enumerate(places))
+        cases = "\n".join(
+            f"    case {i}: *size = sizeof(w->{place}); return (double *)(void *)w->{place};"
+            for i, place in enumerate(places)
+        )
         source = (
             f'#include "{name}.h"\n'
-            f"double *{name}_field(void *workspace, int field);\n"
+            f"double *{name}_field(void *workspace, int field, size_t *size);\n"
             f"void {name}_configure(void *workspace, int max_failures, int startup_iterations, int iterations,\n"
             f"    double deadline);\n"
-            f"double *{name}_field(void *workspace, int field)\n{{\n    {name}_workspace *w = workspace;\n"
+            f"double *{name}_field(void *workspace, int field, size_t *size)\n"
+            f"{{\n    {name}_workspace *w = workspace;\n"
             f"    switch (field) {{\n{cases}\n    }}\n    return NULL;\n}}\n"
             "static double now;\n\nstatic double clock_of_calls(void *context)\n{\n"
             "    *(double *)context += 1.0;\n    return *(double *)context;\n}\n"
@@ -58,7 +65,7 @@ class Inspected(Controller):
         super().__init__(CProject(name, {**project.files, extra: source, rti: injected}, (*project.sources, extra)))
         ffi = cffi.FFI()
         ffi.cdef(
-            f"double *{name}_field(void *, int); extern int {name}_broken;"
+            f"double *{name}_field(void *, int, size_t *); extern int {name}_broken;"
             f"void {name}_configure(void *, int, int, int, double);"
         )
         library: Any = ffi.dlopen(str(self.library))
@@ -67,10 +74,30 @@ class Inspected(Controller):
         self.break_solver(False)  # the library may be loaded already
         self._configure = lambda *settings: getattr(library, f"{name}_configure")(workspace, *settings)
         self.fields: dict[str, Array] = {}
+        size = ffi.new("size_t *")
         for i, (field, shape) in enumerate(shapes.items()):
-            address = getattr(library, f"{name}_field")(workspace, i)
-            memory = ffi.buffer(address, 8 * int(np.prod(shape)))
-            self.fields[field.removeprefix("qp_data.")] = np.frombuffer(memory).reshape(shape)
+            address = getattr(library, f"{name}_field")(workspace, i, size)
+            self.fields[field.removeprefix("qp_data.")] = np.frombuffer(ffi.buffer(address, size[0])).reshape(shape)
+        self._ocp = ocp
+
+    @property
+    def programme(self) -> dict[str, Array]:
+        """Matrices and vectors of every stage, as the solver holds them and what it knows to be constant."""
+        s, N = self._ocp.statement, self._ocp.steps
+        n, m = s.ndx, s.nu
+        shapes = {"A": (n, n), "B": (n, m), "b": (n,), "Q": (n, n), "S": (m, n), "R": (m, m), "q": (n,), "r": (m,)}
+        found = {name: np.zeros((N + (name in ("Q", "q")), int(np.prod(shape)))) for name, shape in shapes.items()}
+        for name, constants in zip(shapes, constant_entries(self._ocp.linearise), strict=True):
+            for entry, value in constants.items():
+                found[name][:N, entry] = value
+        for (name, entry), places in aerotact_places(stage_pattern(self._ocp)).items():
+            array, index = places[0]
+            found[name][:, entry] = self.fields[array][: len(found[name]), index]
+        matrices = {name: found[name].reshape(-1, *shape) for name, shape in shapes.items()}
+        for name in ("Q", "R"):  # the solver keeps one triangle, whichever
+            there = matrices[name]
+            matrices[name] = np.where(there == 0.0, np.swapaxes(there, 1, 2), there)
+        return matrices
 
     def configure(
         self, *, max_failures: int = 5, startup_iterations: int = 5, iterations: int = 1, deadline: float = 0.0

@@ -113,7 +113,7 @@ def test_quadratic_programme_is_solved(ocp: Ocp, mpc: Inspected, name: str) -> N
     statistics = mpc.statistics
     assert (statistics.qp_iterations > 0) == CASES[name].rate_active
     assert statistics.qp_feasibility < 1e-8 * np.abs(mpc.fields["qp_solution.u"]).max()  # the solver's is relative
-    f = mpc.fields
+    f = {**mpc.fields, **mpc.programme}
     largest = max(np.abs(f["q"]).max(), np.abs(f["r"]).max())
     assert statistics.qp_stationarity < 1e-6 * largest
     assert statistics.qp_complementarity < 1e-6 * largest
@@ -156,7 +156,7 @@ def test_programme_is_casadis_linearisation_of_every_stage(ocp: Ocp, mpc: Inspec
     _start(mpc, ocp, CASES["rates and thrusts"])
     mpc.configure(startup_iterations=1)
     assert mpc.step() is Status.OK
-    f = mpc.fields
+    f = {**mpc.fields, **mpc.programme}
     # a cold start stays where the robot is, at rest, under the thrusts of now
     x = np.tile(f["plan_x"][0], (ocp.steps + 1, 1))
     x[1:, 7:13] = 0.0

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from aerotact.codegen.qp_structure import QpPattern, template_context
+from aerotact.codegen.qp_structure import Places, QpPattern, template_context, workspace_places
 from aerotact.codegen.templating import templates
 from aerotact.exceptions import UnknownName
 
@@ -17,10 +17,12 @@ class Backend:
 
     Attributes:
         sources: its C files.
+        places: where a stage's matrices and vectors are kept; arrays are members of the real-time iteration's struct.
         caveat: what its users must know, one sentence for header, README and manifest; empty if there is nothing.
     """
 
     sources: Sources
+    places: Callable[[QpPattern], Places]
     caveat: str = ""
 
 
@@ -34,6 +36,18 @@ def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
     }
 
 
+def aerotact_places(pattern: QpPattern) -> Places:
+    """The solver's own arrays."""
+    return {key: [(f"qp_workspace.{a}", i) for a, i in places] for key, places in workspace_places(pattern).items()}
+
+
+def osqp_places(pattern: QpPattern) -> Places:
+    """The data's."""
+    nx, nu = pattern.nx, pattern.nu
+    sizes = {"A": nx * nx, "B": nx * nu, "b": nx, "Q": nx * nx, "S": nu * nx, "R": nu * nu, "q": nx, "r": nu}
+    return {(name, i): [(f"qp_data.{name}", i)] for name, size in sizes.items() for i in range(size)}
+
+
 def osqp_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
     """OSQP's embedded code; the package is imported only when it is wanted."""
     from aerotact.codegen.osqp_sources import osqp_sources  # noqa: PLC0415
@@ -42,9 +56,11 @@ def osqp_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
 
 
 BACKENDS: dict[str, Backend] = {
-    "aerotact": Backend(aerotact_qp),
+    "aerotact": Backend(aerotact_qp, aerotact_places),
     "osqp": Backend(
-        osqp_qp, "OSQP's work arrays are variables of this library: steps must not overlap, whatever their workspace."
+        osqp_qp,
+        osqp_places,
+        "OSQP's work arrays are variables of this library: steps must not overlap, whatever their workspace.",
     ),
 }
 

@@ -57,7 +57,7 @@ def mpc_project(ocp: Ocp) -> CProject:
         **({"caveat": context["caveat"]} if context["caveat"] else {}),
     }
     text = manifest(block, model.robot, extra)
-    return assemble(context, functions, example, "mpc.c.jinja", text, rti.files, rti.signatures)
+    return assemble(context, functions, example, "mpc.c.jinja", text, rti.files)
 
 
 def _map(target: Layout, source: Layout) -> list[tuple[int, int, int]]:

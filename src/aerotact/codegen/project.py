@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -177,11 +177,9 @@ def manifest(block: Block, robot: Robot, extra: Mapping[str, Any]) -> str:
     return json.dumps(content, indent=2, sort_keys=True) + "\n"
 
 
-def function_files(
-    name: str, functions: list[tuple[Any, str, list[str], list[str]]], extra_signatures: Sequence[str] = ()
-) -> dict[str, str]:
-    """`src/<name>_functions.h` and `.c`: (CasADi function, C name, arguments, results), and heads of others."""
-    heads = [*(signature(n, a, r) for _, n, a, r in functions), *extra_signatures]
+def function_files(name: str, functions: list[tuple[Any, str, list[str], list[str]]]) -> dict[str, str]:
+    """`src/<name>_functions.h` and `.c`: (CasADi function, C name, arguments, results)."""
+    heads = [signature(n, a, r) for _, n, a, r in functions]
     header = templates().get_template("functions.h.jinja").render(name=name, NAME=name.upper(), signatures=heads)
     body = [emit(f, n, a, r, lambda n: f"/* {n} */") for f, n, a, r in functions]
     return {
@@ -197,7 +195,6 @@ def assemble(
     main: str,
     manifest_text: str,
     extra_sources: Mapping[str, str],
-    extra_signatures: Sequence[str] = (),
 ) -> CProject:
     """Render the files that every project has around its own `src/<name>.c`, made from template `main`."""
     environment = templates()
@@ -213,7 +210,7 @@ def assemble(
     files = {
         f"include/{name}.h": render("api.h.jinja"),
         f"src/{name}.c": render(main),
-        **function_files(name, functions, extra_signatures),
+        **function_files(name, functions),
         **extra_sources,
         "example/main.c": render("main.c.jinja"),
         f"example/{name}_plant.h": example.header,

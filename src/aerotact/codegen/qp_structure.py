@@ -29,6 +29,8 @@ class QpPattern:
         general: number of general rows.
         soft_bounds, soft_rows: which bounded states and which general rows are soft.
         A, B, Q, R, S: patterns; all FREE if None.
+        direct: the caller keeps A, B, b, Q, S, R, q and r in the solver's own arrays, at its back end's places, and
+            not in the data.
     """
 
     nx: int
@@ -43,6 +45,7 @@ class QpPattern:
     Q: Pattern | None = field(default=None, repr=False)
     R: Pattern | None = field(default=None, repr=False)
     S: Pattern | None = field(default=None, repr=False)
+    direct: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,7 @@ def template_context(prefix: str, pattern: QpPattern) -> dict[str, Any]:
         "gain": [(position, i * nu + j) for position, (i, j) in enumerate(order.integrators)],
         "rows": rows,
         "entries": [(number, *entry) for number, row in enumerate(rows) for entry in row],
+        "direct": pattern.direct,
         "hess": hessian,
         "hess_q": [entry for entry in hessian if entry[2] == "Q"],
         "diagonal": all(entry[0] == entry[1] for entry in hessian),
@@ -102,6 +106,28 @@ def template_context(prefix: str, pattern: QpPattern) -> dict[str, Any]:
         "blocks_u": _blocks(filled, 0, nu),
         "blocks_x": _blocks(filled, nu, nu + nx),
     }
+
+
+Places = dict[tuple[str, int], list[tuple[str, int]]]
+"""(matrix or vector of the data, entry) -> where it is kept: (array of a stage, index) of each copy."""
+
+
+def workspace_places(pattern: QpPattern) -> Places:
+    """Where the workspace keeps one stage of the data; entries that it does not read are missing."""
+    context = template_context("", pattern)
+    nu, ld, ldd = pattern.nu, context["ld"], context["ldd"]
+    places: Places = {}
+    for row, column, name, entry in context["entries"]:
+        places[name, entry] = [("G", row * ld + column), ("Gt", column * ldd + row)]
+    for position, entry in context["gain"]:
+        places["B", entry] = [("gain", position)]
+    for position, (_, _, name, entry) in enumerate(context["hess"]):
+        places[name, entry] = [("hv", position)]
+    for position, entry in enumerate(context["u_order"]):
+        places["r", entry] = [("q", position)]
+    for position, entry in enumerate(context["x_order"]):
+        places["q", entry], places["b", entry] = [("q", nu + position)], [("c", nu + position)]
+    return places
 
 
 def _padded(count: int) -> int:

@@ -55,7 +55,7 @@ def rti_project(transcription: Transcription, backend: str = "aerotact", doc: st
     environment = templates()
     files = {
         **rti.files,
-        **function_files(s.name, rti.functions, rti.signatures),
+        **function_files(s.name, rti.functions),
         "Makefile": environment.get_template("rti_Makefile.jinja").render(context),
         "README.md": environment.get_template("rti_README.md.jinja").render(context),
         MANIFEST: json.dumps(manifest, indent=2, sort_keys=True) + "\n",

@@ -1,6 +1,6 @@
 """Transcription -> C of its real-time iteration: linearisation of all stages, quadratic programme, the two phases."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -8,11 +8,12 @@ import numpy as np
 
 from aerotact.codegen.backends import find_backend
 from aerotact.codegen.functions import number
-from aerotact.codegen.lanes import Strided, emit_stages
+from aerotact.codegen.lanes import constant_entries, emit_stages
 from aerotact.codegen.qp_structure import FREE, ONE, ZERO, QpPattern
 from aerotact.codegen.templating import templates
-from aerotact.mpc.transcription import ROW_RESULTS, Transcription
+from aerotact.mpc.transcription import Transcription
 from aerotact.ports import Array
+
 
 FunctionRow = tuple[Any, str, list[str], list[str]]
 """A CasADi function, its name in C, the names of its arguments and of its results."""
@@ -25,13 +26,11 @@ class RtiSources:
     Attributes:
         files: path inside the project -> text.
         functions: that `src/<name>_functions.c` must hold.
-        signatures: of the functions that `src/<name>_functions.h` must declare besides.
         context: what the templates know under `rti`.
     """
 
     files: dict[str, str]
     functions: list[FunctionRow]
-    signatures: list[str]
     context: dict[str, Any]
 
 
@@ -50,16 +49,24 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     s = transcription.statement
     name, n, m = s.name, s.ndx, s.nu
     solver = find_backend(backend, where)
-    inputs = {"x": s.nx, "u": m, "x_next": s.nx, "stage": max(s.stage_size, 1), "p": 0, "h": 1, "gain": m}
-    results = {"A": n * n, "B": n * m, "b": n, "Q": n * n, "S": m * n, "R": m * m, "q": n, "r": m}
-    if s.rows.size:
-        results |= {"C": s.rows.size * n, "g": s.rows.size}
+    pattern = replace(stage_pattern(transcription), direct=True)
+    places = solver.places(pattern)
+    places |= {("C", i): [("qp_data.C", i)] for i in range(s.rows.size * n)}
+    places |= {("g", i): [("g", i)] for i in range(s.rows.size)}
+    results, last = transcription.linearise.name_out(), transcription.linearise_terminal.name_out()
+
+    def wanted(result: str, entry: int) -> list[tuple[str, int]]:
+        return [(f"rti->{array}[k]", index) for array, index in places.get((result, entry), [])]
+
     stages = emit_stages(
         transcription.linearise,
         f"{name}_linearise",
-        [Strided(*item) for item in inputs.items()],
-        [Strided(*item) for item in results.items()],
+        f"{name}_rti *rti, const double *parameters, const double *lengths, const double *gains",
+        f"{name.upper()}_STEPS",
+        ["rti->x[k]", "rti->u[k]", "rti->x[k + 1]", "rti->stage[k]", "parameters", "lengths + k", f"gains + {m} * k"],
+        lambda result, entry: wanted(results[result], entry),
     )
+    fixed = zip(results, constant_entries(transcription.linearise), strict=True)
     bounds = s.bounds
     context = {
         "steps": transcription.steps,
@@ -83,8 +90,17 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         "row_quadratic": numbers(s.rows.quadratic),
         "row_lengths": numbers(np.append(np.diff(s.times), s.rows.terminal)),
         "fixed": [
-            (result, [(entry, number(value)) for entry, value in sorted(entries.items()) if value != 0.0])
-            for result, entries in stages.constants.items()
+            (array, index, number(value))
+            for result, entries in fixed
+            for entry, value in entries.items()
+            if value != 0.0
+            for array, index in places.get((result, entry), [])
+        ],
+        "last": [
+            (array, index, result, entry)
+            for (result, entry), kept in places.items()
+            if result in last
+            for array, index in kept
         ],
     }
     known = {"name": name, "NAME": name.upper(), "rti": context}
@@ -93,32 +109,28 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     def render(template: str, **more: Any) -> str:
         return environment.get_template(template).render(known, **more)
 
-    pattern = _pattern(transcription, stages.constants)
     files = {
         f"include/{name}_rti.h": render("rti.h.jinja"),
         f"src/{name}_rti.c": render("rti.c.jinja"),
         f"src/{name}_lanes.h": render("lanes.h.jinja", lane_functions=stages.math),
+        f"src/{name}_stages.h": render("stages.h.jinja", signature=stages.signature),
         f"src/{name}_stages.c": render("stages.c.jinja", source=stages.source),
         **solver.sources(name, pattern),
     }
     functions: list[FunctionRow] = [
-        (
-            transcription.linearise_terminal,
-            f"{name}_linearise_terminal",
-            ["x", "stage", "p"],
-            ["Q", "q", *(ROW_RESULTS if s.rows.size else [])],
-        ),
+        (transcription.linearise_terminal, f"{name}_linearise_terminal", ["x", "stage", "p"], last),
         (transcription.retract, f"{name}_retract", ["x", "dx"], ["moved"]),
         (transcription.difference, f"{name}_difference", ["from", "to"], ["dx"]),
         (transcription.rest, f"{name}_rest", ["x"], ["rest"]),
         (transcription.command, f"{name}_command", ["x", "u"], ["command"]),
     ]
-    return RtiSources(files, functions, [stages.signature], context)
+    return RtiSources(files, functions, context)
 
 
-def _pattern(transcription: Transcription, constants: dict[str, dict[int, float]]) -> QpPattern:
+def stage_pattern(transcription: Transcription) -> QpPattern:
     """Sparsity of the quadratic programme: what is the same constant in every stage is zero, one, or data."""
     s = transcription.statement
+    constants = dict(zip(transcription.linearise.name_out(), constant_entries(transcription.linearise), strict=True))
     shapes = {"A": (s.ndx, s.ndx), "B": (s.ndx, s.nu), "Q": (s.ndx, s.ndx), "R": (s.nu, s.nu), "S": (s.nu, s.ndx)}
     grids = {}
     for name, (rows, columns) in shapes.items():

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from aerotact.mpc.constraints import NO_ROWS, Bounds, Rows
+from aerotact.mpc.jacobian import value_and_jacobian
 from aerotact.ports import Array
 
 ROW_RESULTS = ["C", "g"]
@@ -114,34 +115,31 @@ def transcribe(s: Statement) -> Transcription:
     stage, parameters = ca.SX.sym("stage", s.stage_size), ca.SX.sym("p", s.parameter_size)
     h, gain = ca.SX.sym("h"), ca.SX.sym("gain", s.nu)
 
+    integrated = _integrated(s)
+
     def phi(state: Any, control: Any) -> Any:
-        rate = control * gain / h
-        k1 = s.derivative(state, rate, stage)
-        k2 = s.derivative(state + h / 2 * k1, rate, stage)
-        k3 = s.derivative(state + h / 2 * k2, rate, stage)
-        k4 = s.derivative(state + h * k3, rate, stage)
-        return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        change = control * gain
 
-    def at_zero(expression: Any) -> Any:
-        return ca.substitute(expression, ca.vertcat(dx, du), ca.DM.zeros(s.ndx + s.nu))
+        def moved(share: float, slope: Any) -> Any:
+            after = state + share * h * slope
+            for row, column in integrated.items():
+                after[row] = state[row] + share * change[column]
+            return after
 
-    moved, changed = s.retract(x, dx), u + du
-    gap = s.local(x_next, phi(moved, changed))
-    A, B, b = at_zero(ca.jacobian(gap, dx)), at_zero(ca.jacobian(gap, du)), at_zero(gap)
-    r, w = s.terms(moved, changed, stage, parameters)
-    J = at_zero(ca.jacobian(r, ca.vertcat(dx, du)))
-    weighted = h * ca.mtimes(J.T, ca.diag(w))
-    H = ca.mtimes(weighted, J) + s.damping * h * ca.SX.eye(s.ndx + s.nu)
-    g = ca.mtimes(weighted, at_zero(r))
-    n = s.ndx
-    r_end, w_end = s.terminal_terms(moved, stage, parameters)
-    J_end = at_zero(ca.jacobian(r_end, dx))
-    weighted_end = ca.mtimes(J_end.T, ca.diag(w_end))
-    Q_end = ca.mtimes(weighted_end, J_end) + s.damping * ca.SX.eye(n)
-    rows = []
+        k1 = s.derivative(state, change / h, stage)
+        k2 = s.derivative(moved(0.5, k1), change / h, stage)
+        k3 = s.derivative(moved(0.5, k2), change / h, stage)
+        k4 = s.derivative(moved(1.0, k3), change / h, stage)
+        return moved(1.0, (k1 + 2 * (k2 + k3) + k4) / 6)
+
+    changes, n = ca.vertcat(dx, du), s.ndx
+    x_moved, u_moved = s.retract(x, dx), u + du
+    b, AB = value_and_jacobian(s.local(x_next, phi(x_moved, u_moved)), changes)
+    H, g = _gauss_newton(*s.terms(x_moved, u_moved, stage, parameters), changes, h, s.damping)
+    Q_end, q_end = _gauss_newton(*s.terminal_terms(x_moved, stage, parameters), dx, 1.0, s.damping)
+    rows: tuple[Any, ...] = ()
     if s.rows.size:
-        inequality = s.rows.build(moved, stage)
-        rows = [at_zero(ca.jacobian(inequality, dx)), at_zero(inequality)]
+        rows = value_and_jacobian(s.rows.build(x_moved, stage), dx)[::-1]
     r_now, w_now = s.terms(x, u, stage, parameters)
     r_last, w_last = s.terminal_terms(x, stage, parameters)
     return Transcription(
@@ -149,14 +147,11 @@ def transcribe(s: Statement) -> Transcription:
         linearise=_function(
             "linearise",
             [x, u, x_next, stage, parameters, h, gain],
-            [A, B, b, H[:n, :n], H[n:, :n], H[n:, n:], g[:n], g[n:], *rows],
+            [AB[:, :n], AB[:, n:], b, H[:n, :n], H[n:, :n], H[n:, n:], g[:n], g[n:], *rows],
             ["A", "B", "b", "Q", "S", "R", "q", "r", *ROW_RESULTS[: len(rows)]],
         ),
         linearise_terminal=_function(
-            "linearise_terminal",
-            [x, stage, parameters],
-            [Q_end, ca.mtimes(weighted_end, at_zero(r_end)), *rows],
-            ["Q", "q", *ROW_RESULTS[: len(rows)]],
+            "linearise_terminal", [x, stage, parameters], [Q_end, q_end, *rows], ["Q", "q", *ROW_RESULTS[: len(rows)]]
         ),
         step=ca.Function("step", [x, u, stage, h, gain], [phi(x, u)]),
         cost=ca.Function("cost", [x, u, stage, parameters, h], [h * ca.dot(w_now, r_now**2) / 2]),
@@ -166,6 +161,21 @@ def transcribe(s: Statement) -> Transcription:
         rest=ca.Function("rest", [x], [s.rest(x)]),
         command=ca.Function("command", [x, u], [s.command(x, u)]),
     )
+
+
+def _integrated(s: Statement) -> dict[int, int]:
+    """State -> control, of the states whose rate is a control."""
+    x, rate, stage = ca.SX.sym("x", s.nx), ca.SX.sym("rate", s.nu), ca.SX.sym("stage", s.stage_size)
+    slope = s.derivative(x, rate, stage)
+    return {i: j for i in range(s.nx) for j in range(s.nu) if ca.is_equal(slope[i], rate[j])}
+
+
+def _gauss_newton(r: Any, w: Any, changes: Any, duration: Any, damping: float) -> tuple[Any, Any]:
+    """Hessian, symmetric entry by entry, and gradient of duration * sum(w r^2) / 2 in the changes, at zero."""
+    value, J = value_and_jacobian(r, changes)
+    weighted = ca.mtimes(ca.diag(duration * w), J)
+    H = ca.mtimes(weighted.T, J)
+    return ca.triu2symm(ca.triu(H)) + damping * duration * ca.SX.eye(J.size2()), ca.mtimes(weighted.T, value)
 
 
 def _function(name: str, inputs: list[Any], outputs: list[Any], names: list[str]) -> Any:
