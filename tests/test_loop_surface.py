@@ -11,7 +11,7 @@ from aerotact.controller import Controller
 from aerotact.dynamics.model import Model
 from aerotact.exceptions import LoopError
 from aerotact.experiments.reference import Hold, WithFlags
-from aerotact.flight import controller_project
+from aerotact.flight import ESTIMATORS, SEEING, controller_project, estimator_names
 from aerotact.loop import SURFACE, Loop, Wiring
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
@@ -42,7 +42,7 @@ def _loop(
     asks: bool = True,
     truth: bool = False,
     world: str | None = "wall",
-    estimators: tuple[str, ...] = ("state_estimator",),
+    estimators: tuple[str, ...] = ("state_estimator", SEEING),
 ) -> Loop:
     plant = Plant(_model().robot, world)
     chain = [Controller(controller_project(name, _model(), 500.0)) for name in estimators]
@@ -91,8 +91,10 @@ def test_nothing_to_see_is_far_and_flagged() -> None:
 
 
 def test_camera_needs_an_attitude_and_a_rate_that_fits(tmp_path: Path) -> None:
-    with pytest.raises(LoopError, match=r"nothing serves q_WB of the depth camera"):
-        _loop(asks=False, estimators=()).run(0.01, {})
+    with pytest.raises(LoopError, match=r"nothing serves q_WB of surface_estimator"):
+        _loop(estimators=(SEEING,))
+    with pytest.raises(LoopError, match=r"nothing serves surface_distance, n_W, surface_valid of still_asking"):
+        _loop(estimators=("state_estimator",))
     loop = _loop()
     for name in ("plant.xml", "robot.toml"):
         text = (FOLDER / name).read_text()
@@ -102,6 +104,8 @@ def test_camera_needs_an_attitude_and_a_rate_that_fits(tmp_path: Path) -> None:
         Loop(plant, Sensors(plant, plant.robot, 0), loop.estimators, loop.controller, loop.wiring)
 
 
-def test_robot_without_a_camera_has_no_surface() -> None:
-    plant = Plant(load_robot("tilt_hex"), "table")
-    assert Sensors(plant, plant.robot, 0).depth_camera is None
+def test_surface_is_estimated_for_robots_with_a_camera() -> None:
+    assert estimator_names(_model().robot) == (*ESTIMATORS, SEEING)
+    blind = load_robot("tilt_hex")
+    assert estimator_names(blind) == ESTIMATORS
+    assert Sensors(Plant(blind, "table"), blind, 0).depth_camera is None

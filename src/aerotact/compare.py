@@ -14,7 +14,7 @@ from aerotact.codegen.build import compile_library
 from aerotact.dynamics.model import Model
 from aerotact.experiments import find_experiment
 from aerotact.experiments.experiment import Experiment
-from aerotact.flight import ESTIMATORS, Options, Result, controller_project, find_controller, fly, shown_name
+from aerotact.flight import Options, Result, controller_project, estimator_names, find_controller, fly, shown_name
 from aerotact.metrics import UNITS
 from aerotact.robot import load_robot
 
@@ -109,7 +109,7 @@ def _compile_all(experiment: Experiment, labels: Sequence[str], options: Options
     for label in labels:
         spec = find_controller(experiment, label)
         compile_library(controller_project(spec.block, model, spec.rate))
-    for name in ESTIMATORS:
+    for name in estimator_names(robot):
         compile_library(controller_project(name, model, robot.file.sensors.imu.rate))
 
 

@@ -9,7 +9,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from aerotact.controller import Controller, Status
-from aerotact.estimation.surface import SurfaceEstimator
+from aerotact.estimation.point_patch import point_patch
+from aerotact.estimation.surface_estimator import REACH
 from aerotact.exceptions import AerotactError, LoopError
 from aerotact.log import Log
 from aerotact.plant.camera import DepthCamera
@@ -107,7 +108,9 @@ class Loop:
         }
         self._sight = _Sight(plant, sensors.depth_camera) if sensors.depth_camera else None
         if self._sight:
-            self._bus.update(self._sight.truth())
+            self._bus.update(self._sight.patch())
+            if wiring.truth:
+                self._bus.update(self._sight.truth())
             self._frame_every = self._every(self._sight.rate, "the depth camera")
             if self._frame_every % self._imu_every:
                 imu = f"{sensors.imu_rate:g} Hz, the IMU's, divided by a whole number"
@@ -119,8 +122,6 @@ class Loop:
                     f"nothing serves {', '.join(missing)} of {block.name}; there is: {', '.join(self._bus)}"
                 )
             self._bus.update({name: value.copy() for name, value in block.output.items()})
-        if self._sight and not wiring.truth and "q_WB" not in self._bus:
-            raise LoopError(f"nothing serves q_WB of the depth camera; there is: {', '.join(self._bus)}")
         self._commands = COMMANDS if plant.robot.tilts else COMMANDS[:1]
         if any(name not in controller.output for name in self._commands):
             raise LoopError(
@@ -214,6 +215,8 @@ class Loop:
         if fresh:
             bus.update(self.sensors.motion_capture())
         bus["mocap_fresh"] = np.array([float(fresh)])
+        if self._sight and k % self._frame_every == 0:
+            bus.update(self._sight.patch())
         for estimator, table in zip(self.estimators, tables, strict=False):
             table.write(k)
             for name, view in estimator.measurement.items():
@@ -223,8 +226,8 @@ class Loop:
             if self.wiring.truth:
                 truth = self.plant.truth()
                 bus.update({name: truth[name] for name in STATE_SIGNALS})
-        if self._sight and (self.wiring.truth or k % self._frame_every == 0):
-            bus.update(self._sight.truth() if self.wiring.truth else self._sight.look(bus["q_WB"]))
+        if self._sight and self.wiring.truth:
+            bus.update(self._sight.truth())
 
     def _control(self, k: int, table: "_ReferenceTable") -> float:
         controller = self.controller
@@ -246,16 +249,16 @@ class _Sight:
     def __init__(self, plant: Plant, camera: DepthCamera) -> None:
         self.rate = camera.rate
         self._camera = camera
-        self._estimator = SurfaceEstimator(camera.p_EC, camera.R_EC, plant.robot.R_BE)
-        self._ahead = SurfaceAhead(plant, self._estimator.limits.reach)
+        self._ahead = SurfaceAhead(plant, REACH)
 
     def truth(self) -> dict[str, Array]:
         """The signals of SURFACE by the world's geometry."""
         return self._ahead.sample()
 
-    def look(self, q_WB: Array) -> dict[str, Array]:
-        """The signals of SURFACE from a new frame of the camera."""
-        return self._estimator.signals(self._camera.points(), q_WB)
+    def patch(self) -> dict[str, Array]:
+        """The points about the tool's axis in a new frame of the camera."""
+        camera = self._camera
+        return point_patch(camera.points(), camera.p_EC, camera.R_EC)
 
 
 class _ReferenceTable:
@@ -310,8 +313,8 @@ class _Recorder:
             *(_declared(p) for p in ports["output"]),
             *(_declared(p, "_est") for p in ports["measurement"]),
         ]
-        # What the camera shows is logged even if the controller does not ask for it.
-        self._unasked = [n for n in SURFACE if sight and n not in controller.measurement]
+        # What is estimated is logged even if the controller does not ask for it.
+        self._unasked = [n for n in SURFACE if n in bus and n not in controller.measurement]
         if sight:
             columns += SURFACE.values()
             columns += [replace(SURFACE[n], name=f"{n}_est") for n in self._unasked]

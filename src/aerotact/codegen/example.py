@@ -9,14 +9,15 @@ import numpy as np
 from aerotact.codegen.functions import emit, number, signature
 from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
-from aerotact.estimation.surface import SurfaceLimits
+from aerotact.estimation.point_patch import RADIUS
 from aerotact.exceptions import CodegenError
 from aerotact.ports import Array, Layout
 
 SECONDS = 4.0
 SUBSTEPS = 4
 OFFSET = np.array([0.05, 0.0, 0.0])
-_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N"}
+AHEAD = 1.0  # m, from the tool to a plate
+_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N", "n_W": "1"}
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,10 @@ class Example:
 
 
 def signals(model: Model, x: Any) -> dict[str, Any]:
-    """Every measurement by name, without noise, of the undisturbed model in empty space, state x a CasADi column."""
+    """Every measurement by name, without noise, of the undisturbed model in state x (a CasADi column).
+
+    The only thing in reach is a plate 1 m ahead of the tool, at right angles to it.
+    """
     s = model.state.split(x)
     a_WB, dw_B = model.accelerations(x, ca.DM.zeros(model.disturbance.size))
     lever = ca.DM(model.robot.p_BI)
@@ -56,9 +60,12 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
         "v_WE": v_WE,
         "w_E": w_E,
         **_force_torque(model, w_B, dw_B, ca.mtimes(R_BW, a_WB - gravity_W)),
-        "surface_distance": ca.DM(SurfaceLimits().reach),
+        "patch_points": ca.DM(500),
+        "patch_mean_E": ca.DM([0, 0, AHEAD]),
+        "patch_covariance_E": ca.DM([RADIUS**2 / 4, 0, 0, RADIUS**2 / 4, 0, 0]),
+        "surface_distance": ca.DM(AHEAD),
         "n_W": -so3.rotation(q_WE)[:, 2],
-        "surface_valid": ca.DM(0),
+        "surface_valid": ca.DM(1),
     }
 
 
@@ -101,7 +108,11 @@ def make_example(
     wanted = {"p_WE_d": "p_WE", "q_WE_d": "q_WE", "p_WB_r": "p_WB", "q_WB_r": "q_WB"}
     constants = {p.name: at_hover[wanted[p.name]] for p in reference if p.name in wanted}
     estimate = next((n for n in _JUDGED if n in output), "")
-    goal = at_hover[judged] if limited or estimate != "f_ext_W" else np.zeros(3)
+    goal = (
+        at_hover[judged]
+        if limited
+        else {"f_ext_W": np.zeros(3)}.get(estimate, at_hover.get(estimate, at_hover[judged]))
+    )
     start = x0 + np.concatenate([OFFSET if limited else np.zeros(3), np.zeros(x0.size - 3)])
     header = "\n".join(
         [
