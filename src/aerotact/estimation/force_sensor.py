@@ -12,10 +12,23 @@ from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.motion import hover_poses, numbers
 from aerotact.estimation.butterworth import at_rest, butterworth, low_pass
+from aerotact.exceptions import MissingCapability
 from aerotact.gains import with_robot_gains
 from aerotact.ports import Block, BlockBuilder
+from aerotact.robot import ForceTorque
 
 HIGHEST_CUTOFF = 0.45  # of the rate
+
+
+def sensor_of(model: Model) -> ForceTorque:
+    """The robot's force/torque sensor.
+
+    Raises:
+        MissingCapability: it has none.
+    """
+    if model.robot.force_torque is None:
+        raise MissingCapability(f"force_sensor needs force_torque, which robot '{model.robot.name}' lacks")
+    return model.robot.force_torque
 
 
 def without_weight(model: Model, f_S: Any, tau_S: Any, q_WB: Any) -> tuple[Any, Any]:
@@ -23,7 +36,7 @@ def without_weight(model: Model, f_S: Any, tau_S: Any, q_WB: Any) -> tuple[Any, 
 
     The sensor holds that weight up: it reads m_d g upwards at the centre of mass D of what it carries.
     """
-    sensor = model.robot.force_torque
+    sensor = sensor_of(model)
     R_WS = ca.mtimes(so3.rotation(q_WB), ca.DM(sensor.R_BS))
     lift_S = ca.mtimes(R_WS.T, ca.DM([0, 0, sensor.distal_mass * model.robot.gravity]))
     return f_S - lift_S, tau_S - ca.cross(ca.DM(sensor.p_SD), lift_S)
@@ -31,7 +44,7 @@ def without_weight(model: Model, f_S: Any, tau_S: Any, q_WB: Any) -> tuple[Any, 
 
 def wrench_at_tip(model: Model, f_S: Any, tau_S: Any) -> tuple[Any, Any]:
     """Force, N, and torque about the tool's tip, N m, both in B, from those about the sensor's origin in S."""
-    sensor = model.robot.force_torque
+    sensor = sensor_of(model)
     R_BS = ca.DM(sensor.R_BS)
     f_B = ca.mtimes(R_BS, f_S)
     return f_B, ca.mtimes(R_BS, tau_S) - ca.cross(ca.DM(model.robot.p_BE - sensor.p_BS), f_B)
