@@ -14,7 +14,6 @@ from aerotact.codegen.templating import templates
 from aerotact.mpc.transcription import Transcription
 from aerotact.ports import Array
 
-
 FunctionRow = tuple[Any, str, list[str], list[str]]
 """A CasADi function, its name in C, the names of its arguments and of its results."""
 

@@ -2,7 +2,7 @@
 
 The tool's force is measured, so that the residuals of force and torque can be cleared of it: what is left is the
 disturbance, errors of the rotors' model included. In contact, the disturbance along the normal is found from a static
-balance instead, much faster: there the tip does not accelerate, and every newton of it is an error of the contact force.
+balance instead, much faster: there the tip does not accelerate, and each newton of it is an error of the contact force.
 """
 
 from typing import Any
