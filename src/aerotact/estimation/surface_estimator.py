@@ -53,7 +53,7 @@ def surface_estimator(model: Model, rate: float) -> Block:
     model.require(["tool"], "estimator surface_estimator")
     b = BlockBuilder("surface_estimator", "bodie2021", rate, "plane ahead of the tool from a patch of points (35)-(39)")
     q_WB = b.measurement("q_WB", 4, "1", frame="W", kind="quaternion", doc="attitude of the base")
-    count = b.measurement("patch_points", 1, "1", doc="number of points about the tool's axis", lower=0.0)
+    count = b.measurement("patch_points", 1, "1", doc="number of points about the tool's axis")
     mean = b.measurement("patch_mean_E", 3, "m", frame="E", doc="mean of these points")
     covariance = b.measurement("patch_covariance_E", 6, "m^2", frame="E", doc="of the points: xx xy xz yy yz zz")
     points_min = b.parameter("points_min", 1, "1", 30.0, doc="fewest points", lower=3.0)
