@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stepping import random_state, rotation
 
-from aerotact.dynamics.contact import SETTLING, SMOOTH_GAP, SMOOTH_SPEED, Surface, gap, normal_force, tool_wrench
+from aerotact.dynamics.contact import SETTLING, SMOOTH_GAP, SMOOTH_SPEED, Surface, contact_motion, gap, tool_wrench
 from aerotact.dynamics.model import Model
 
 STIFFNESS, DAMPING = 2000.0, 150.0
@@ -23,7 +23,12 @@ def _surface(n: np.ndarray, offset: float, rigid: float, friction: float = 0.4) 
 
 def _force(model: Model, x: np.ndarray, p: np.ndarray, surface: Surface) -> tuple[float, np.ndarray]:
     symbols = ca.SX.sym("x", x.size)
-    F, f_W = ca.Function("force", [symbols], list(normal_force(model, symbols, ca.DM(p), surface)))(x)
+    moved = contact_motion(model, symbols, ca.DM(p), surface)
+    with_contact = ca.DM(p) + tool_wrench(model, symbols[3:7], moved.f_tool_W)
+    outputs = [moved.force, moved.f_tool_W, moved.a_WB, moved.dw_B, *model.accelerations(symbols, with_contact)]
+    F, f_W, a_WB, dw_B, a_model, dw_model = ca.Function("force", [symbols], outputs)(x)
+    np.testing.assert_allclose(a_WB.full(), a_model.full(), atol=1e-9)
+    np.testing.assert_allclose(dw_B.full(), dw_model.full(), atol=1e-9)
     return float(F), f_W.full().ravel()
 
 
@@ -33,7 +38,9 @@ def _at(model: Model, x: np.ndarray, n: np.ndarray, distance: float) -> float:
     return float(n @ p_WE) - distance
 
 
-def test_the_rigid_force_stops_the_tip_in_mujoco(model: Model) -> None:
+@pytest.mark.parametrize("name", ["tilt_hex", "octorotor"])
+def test_the_rigid_force_stops_the_tip_in_mujoco(models: dict[str, Model], name: str) -> None:
+    model = models[name]
     rng, robot = np.random.default_rng(11), model.robot
     data = mujoco.MjData(robot.mjmodel)
     indices = [r.index for r in robot.rotors]

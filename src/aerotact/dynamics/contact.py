@@ -60,33 +60,40 @@ def tool_wrench(model: Model, q_WB: Any, f_tool_W: Any) -> Any:
     return ca.vertcat(f_tool_W, ca.cross(p_CE, f_B))
 
 
-def normal_force(model: Model, x: Any, p: Any, surface: Surface) -> tuple[Any, Any]:
-    """Force of the surface on the tip.
+@dataclass(frozen=True)
+class ContactMotion:
+    """How the robot moves with the contact: `force` N along the normal, `f_tool_W` N, accelerations as of the model."""
+
+    force: Any
+    f_tool_W: Any
+    a_WB: Any
+    dw_B: Any
+
+
+def contact_motion(model: Model, x: Any, p: Any, surface: Surface) -> ContactMotion:
+    """Force of the surface on the tip, and the accelerations that it leaves.
 
     Args:
         model: of the robot.
         x: state.
         p: wrench on the robot besides the contact's, (6,).
         surface: the plane.
-
-    Returns:
-        F, N, and f_tool_W = F (n_W - mu s), N in W.
     """
-    n, p_BE = surface.n_W, ca.DM(model.robot.p_BE)
-    R_WB = so3.rotation(model.state.split(x)["q_WB"])
+    robot, s, n = model.robot, model.state.split(x), surface.n_W
+    p_BE, p_CE, p_BC = (ca.DM(v) for v in (robot.p_BE, robot.p_BE - robot.p_BC, robot.p_BC))
+    R_WB, w = so3.rotation(s["q_WB"]), s["w_B"]
     v_WE, _ = model.tool_twist(x)
     v_n = ca.dot(n, v_WE)
     sliding = tangential(n, v_WE)
     direction = n - surface.friction * sliding / ca.sqrt(ca.sumsqr(sliding) + SMOOTH_SPEED**2)
 
-    def tip(wrench: Any) -> Any:
-        a_WB, dw = model.accelerations(x, wrench)
-        w = model.state.split(x)["w_B"]
-        return ca.dot(n, a_WB + ca.mtimes(R_WB, ca.cross(dw, p_BE) + ca.cross(w, ca.cross(w, p_BE))))
-
-    # The tip's acceleration is affine in the force: its slope is the inverse of the mass that the wall feels.
-    free = tip(p)
-    slope = ca.dot(n, mobility(model, R_WB, direction))
+    # All accelerations are affine in the force: these are what a newton of it adds.
+    dw_unit = ca.mtimes(model.inverse_inertia, ca.cross(p_CE, ca.mtimes(R_WB.T, direction)))
+    a_unit = direction / robot.mass - ca.mtimes(R_WB, ca.cross(dw_unit, ca.sparsify(p_BC)))
+    a_free, dw_free = model.accelerations(x, p)
+    n_B = ca.mtimes(R_WB.T, n)
+    free = ca.dot(n, a_free) + ca.dot(n_B, ca.cross(dw_free, p_BE) + ca.cross(w, ca.cross(w, p_BE)))
+    slope = ca.dot(n, a_unit) + ca.dot(n_B, ca.cross(dw_unit, p_BE))
     rigid = -(free + SETTLING * v_n) / slope
 
     depth = -gap(model, x, surface) / SMOOTH_GAP
@@ -95,11 +102,4 @@ def normal_force(model: Model, x: Any, p: Any, surface: Surface) -> tuple[Any, A
     compliant = surface.stiffness * penetration - surface.damping * touching * v_n
 
     force = surface.rigid * rigid + (1 - surface.rigid) * compliant
-    return force, force * direction
-
-
-def mobility(model: Model, R_WB: Any, f_tool_W: Any) -> Any:
-    """Acceleration of the tip, m/s2 in W, that a force on it, N in W, causes."""
-    p_CE = ca.DM(model.robot.p_BE - model.robot.p_BC)
-    dw = ca.mtimes(model.inverse_inertia, ca.cross(p_CE, ca.mtimes(R_WB.T, f_tool_W)))
-    return f_tool_W / model.robot.mass + ca.mtimes(R_WB, ca.cross(dw, p_CE))
+    return ContactMotion(force, force * direction, a_free + force * a_unit, dw_free + force * dw_unit)

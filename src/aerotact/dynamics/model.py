@@ -227,9 +227,12 @@ class Model:
 
     def derivative(self, x: Any, u: Any, p: Any) -> Any:
         """dx/dt for the rates u of tilts and thrusts and the external wrench p."""
+        return self.motion(x, u, *self.accelerations(x, p))
+
+    def motion(self, x: Any, u: Any, a_WB: Any, dw_B: Any) -> Any:
+        """dx/dt for the rates u and given accelerations of the base, m/s2 in W and rad/s2 in B."""
         s = self.state.split(x)
-        a_WB, dw = self.accelerations(x, p)
-        return ca.vertcat(s["v_WB"], so3.quaternion_rate(s["q_WB"], s["w_B"]), a_WB, dw, u)
+        return ca.vertcat(s["v_WB"], so3.quaternion_rate(s["q_WB"], s["w_B"]), a_WB, dw_B, u)
 
     def command(self, x: Any, u: Any) -> Any:
         """Commands, laid out as `commands`, that give the rates u now: the inverse of the actuators' lags."""

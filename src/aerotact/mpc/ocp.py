@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics.actuators import actuator_limiter, held_command_gain
-from aerotact.dynamics.contact import normal_force, tool_wrench
+from aerotact.dynamics.contact import contact_motion
 from aerotact.dynamics.model import CAPABILITIES, Model
 from aerotact.exceptions import InputError, MissingCapability, ProblemError, UnknownName
 from aerotact.laws import laws
@@ -174,10 +174,10 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
     def derivative(x: Any, rate: Any, stage: Any) -> Any:
         parts = targets.stage.split(stage)
         wrench = ca.vertcat(parts["f_ext_W"], parts["tau_ext_B"])
-        if "n_W" in parts:
-            _, f_tool_W = normal_force(model, x, wrench, surface(parts))
-            wrench = wrench + tool_wrench(model, model.state.split(x)["q_WB"], f_tool_W)
-        return model.derivative(x, rate, wrench)
+        if "n_W" not in parts:
+            return model.derivative(x, rate, wrench)
+        moved = contact_motion(model, x, wrench, surface(parts))
+        return model.motion(x, rate, moved.a_WB, moved.dw_B)
 
     def terms(x: Any, u: Any, stage: Any, parameters: Any) -> tuple[Any, Any]:
         return _terms(model, targets, residuals, x, u, stage, parameters)

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 
 from aerotact.dynamics import so3
-from aerotact.dynamics.contact import Surface, normal_force
+from aerotact.dynamics.contact import Surface, contact_motion
 from aerotact.dynamics.model import Model
 
 
@@ -97,8 +97,8 @@ def _approach(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...
 
 
 def _force(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
-    force, _ = normal_force(model, x, ca.vertcat(p["f_ext_W"], p["tau_ext_B"]), surface(p))
-    return (p["rigid"] * (force - p["f_push"]),)
+    moved = contact_motion(model, x, ca.vertcat(p["f_ext_W"], p["tau_ext_B"]), surface(p))
+    return (p["rigid"] * (moved.force - p["f_push"]),)
 
 
 def _tilt(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
