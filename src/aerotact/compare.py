@@ -108,7 +108,7 @@ def _compile_all(experiment: Experiment, labels: Sequence[str], options: Options
     model = Model(robot)
     for label in labels:
         spec = find_controller(experiment, label)
-        compile_library(controller_project(spec.block, model, spec.rate))
+        compile_library(controller_project(spec.block, model, spec.rate, options.predicted_delay))
     for name in estimator_names(robot):
         compile_library(controller_project(name, model, robot.file.sensors.imu.rate))
 

@@ -47,6 +47,11 @@ class Options:
     delay: float | Literal["measured"] = 0.0
     folder: Path | None = None
 
+    @property
+    def predicted_delay(self) -> float | None:
+        """The delay that an MPC is told of, s; None leaves its file's own."""
+        return self.delay if isinstance(self.delay, float) and self.delay > 0 else None
+
 
 @dataclass(frozen=True)
 class Result:
@@ -60,8 +65,14 @@ class Result:
     file: Path | None
 
 
-def controller_project(name: str, model: Model, rate: float | None) -> CProject:
+def controller_project(name: str, model: Model, rate: float | None, delay: float | None = None) -> CProject:
     """The C project of a law or of an ocp file, by name (or path of the latter).
+
+    Args:
+        name: of the law, the estimator or the ocp file.
+        model: of the robot.
+        rate: Hz of a law; None is LAW_RATE.
+        delay: s that an MPC is to predict, instead of its file's own.
 
     Raises:
         UnknownName: neither a law nor an ocp file.
@@ -71,7 +82,7 @@ def controller_project(name: str, model: Model, rate: float | None) -> CProject:
     if name in known:
         return block_project(known[name](model, rate or LAW_RATE), model)
     if name in problem_files() or Path(name).suffix == ".toml":
-        return mpc_project(load_ocp(name, model))
+        return mpc_project(load_ocp(name, model, delay))
     raise UnknownName("law, estimator or optimal control problem", name, [*known, *problem_files()])
 
 
@@ -126,7 +137,7 @@ def fly(
     robot = load_robot(options.robot or experiment.robot)
     model = Model(robot)
     spec = find_controller(experiment, label)
-    project = controller_project(spec.block, model, spec.rate)
+    project = controller_project(spec.block, model, spec.rate, options.predicted_delay)
     controller = _controller(project, {**spec.parameters, **case.parameters})
     chain = [
         _controller(controller_project(name, model, robot.file.sensors.imu.rate), spec.estimators.get(name, {}))

@@ -52,7 +52,7 @@ def mpc_project(ocp: Ocp) -> CProject:
     example = make_example(name, model, ocp.rate, block.measurement, block.reference, block.output, limited=True)
     inputs = hashlib.sha256(ocp.path.read_bytes()).hexdigest()
     extra = {
-        "times_s": [float(t) for t in ocp.times],
+        "times_s": [float(t) + ocp.file.problem.delay for t in ocp.times],
         "ocp": {"file": ocp.path.name, "sha256": inputs, "backend": ocp.file.solver.backend, "steps": ocp.steps},
         **({"caveat": context["caveat"]} if context["caveat"] else {}),
     }

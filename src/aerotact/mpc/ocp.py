@@ -1,5 +1,6 @@
 """Ocp: an ocp file and a model, transcribed, with what surrounds the solve: targets and the fallback law."""
 
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -8,13 +9,13 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics.actuators import actuator_limiter, held_command_gain
-from aerotact.dynamics.contact import contact_motion
 from aerotact.dynamics.model import CAPABILITIES, Model
 from aerotact.exceptions import InputError, MissingCapability, ProblemError, UnknownName
 from aerotact.laws import laws
 from aerotact.mpc.constraints import BOUNDS, CONSTRAINTS, ROWS, make_bounds, make_rows
+from aerotact.mpc.prediction import derivative
 from aerotact.mpc.problem import ProblemFile, ResidualEntry, load_problem
-from aerotact.mpc.residuals import RESIDUALS, Residual, surface
+from aerotact.mpc.residuals import RESIDUALS, Residual
 from aerotact.mpc.targets import Targets, make_targets
 from aerotact.mpc.transcription import Statement, Transcription, held_gains, transcribe
 from aerotact.ports import Block, Layout, Port
@@ -94,8 +95,13 @@ def _weights(path: Path, name: str, entry: ResidualEntry, residual: Residual, mo
     return ports
 
 
-def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
+def load_ocp(name_or_path: str | Path, model: Model, delay: float | None = None) -> Ocp:
     """Read an ocp file and transcribe it for a model.
+
+    Args:
+        name_or_path: of the ocp file.
+        model: of the robot.
+        delay: s, instead of the file's own; rounded up to whole periods.
 
     Raises:
         UnknownName: no such file.
@@ -103,6 +109,10 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
         MissingCapability: the robot lacks what the problem, a residual or the fallback law needs.
     """
     path, file = load_problem(name_or_path)
+    if delay is not None:
+        periods = math.ceil(delay * file.problem.rate - 1e-6)
+        horizon = file.problem.model_copy(update={"delay": periods / file.problem.rate})
+        file = file.model_copy(update={"problem": horizon})
     if not (path.stem.isascii() and path.stem.isidentifier()):
         raise ProblemError(path, "file", f"'{path.stem}' is no C identifier", "name it with letters, digits and _")
     for title, given, valid in (
@@ -131,7 +141,8 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
     uses = {kind for r in residuals for kind in r.uses}
     uses |= {kind for name in file.constraints if name in ROWS for kind in ROWS[name].uses}
     times = file.problem.nodes
-    targets = make_targets(path.stem, file.problem.doc, model, times, file.problem.rate, uses, weights)
+    delay = file.problem.delay_periods
+    targets = make_targets(path.stem, file.problem.doc, model, times, file.problem.rate, uses, weights, delay)
     for parameter in file.parameters:
         if parameter.startswith(WEIGHT):
             raise ProblemError(path, f"parameters.{parameter}", "is a weight", "give it as the weight of its residual")
@@ -171,13 +182,8 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
     """The problem in symbols."""
     times = np.array(file.problem.nodes)
 
-    def derivative(x: Any, rate: Any, stage: Any) -> Any:
-        parts = targets.stage.split(stage)
-        wrench = ca.vertcat(parts["f_ext_W"], parts["tau_ext_B"])
-        if "n_W" not in parts:
-            return model.derivative(x, rate, wrench)
-        moved = contact_motion(model, x, wrench, surface(parts))
-        return model.motion(x, rate, moved.a_WB, moved.dw_B)
+    def motion(x: Any, rate: Any, stage: Any) -> Any:
+        return derivative(model, x, rate, targets.stage.split(stage))
 
     def terms(x: Any, u: Any, stage: Any, parameters: Any) -> tuple[Any, Any]:
         return _terms(model, targets, residuals, x, u, stage, parameters)
@@ -196,7 +202,7 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
         parameter_size=targets.block.parameters.size,
         times=times,
         gains=held_gains(times, held_command_gain(model, float(times[1])).full().ravel()),
-        derivative=derivative,
+        derivative=motion,
         retract=model.retract,
         local=model.local,
         rest=model.at_rest,

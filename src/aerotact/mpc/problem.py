@@ -29,6 +29,7 @@ class Horizon(_Strict):
         rate: Hz at which the controller runs.
         fallback: the law that takes over after `max_failures` failed steps.
         terminal: seconds by which the residuals of the last node count.
+        delay: s from a measurement to the command that answers it, a whole number of periods.
     """
 
     doc: str = "model predictive controller"
@@ -40,6 +41,7 @@ class Horizon(_Strict):
     fallback: str
     max_failures: int = Field(default=5, ge=0)
     terminal: float = Field(default=0.1, ge=0)
+    delay: float = Field(default=0.0, ge=0, le=0.2)
 
     @model_validator(mode="after")
     def _one_grid(self) -> "Horizon":
@@ -52,7 +54,16 @@ class Horizon(_Strict):
             raise ValueError("times must start at 0 and increase, with at least two nodes")
         if abs(nodes[1] * self.rate - 1) > 1e-9:
             raise ValueError(f"the first interval is {nodes[1]:g} s; it must be one period, {1 / self.rate:g} s")
+        if abs(self.delay * self.rate - round(self.delay * self.rate)) > 1e-6:
+            raise ValueError(
+                f"delay is {self.delay:g} s; it must be a whole number of periods, {1 / self.rate:g} s each"
+            )
         return self
+
+    @property
+    def delay_periods(self) -> int:
+        """The delay in periods."""
+        return round(self.delay * self.rate)
 
     @property
     def nodes(self) -> list[float]:

@@ -14,8 +14,9 @@ from typing import Any
 import casadi as ca
 
 from aerotact.dynamics import so3
-from aerotact.dynamics.contact import Surface, contact_motion
+from aerotact.dynamics.contact import contact_motion
 from aerotact.dynamics.model import Model
+from aerotact.mpc.prediction import surface, wrench
 
 
 @dataclass(frozen=True)
@@ -86,18 +87,13 @@ def _thrust(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
     return (model.state.split(x)["thrust"] - p["thrust_trim"],)
 
 
-def surface(p: dict[str, Any]) -> Surface:
-    """The surface that a stage's parameters tell of."""
-    return Surface(p["n_W"], p["offset"], p["friction"], p["stiffness"], p["damping"], p["rigid"])
-
-
 def _approach(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
     speed = ca.dot(p["n_W"], model.tool_twist(x)[0]) + p["v_approach"]
     return (p["approach"] * speed,)
 
 
 def _force(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
-    moved = contact_motion(model, x, ca.vertcat(p["f_ext_W"], p["tau_ext_B"]), surface(p))
+    moved = contact_motion(model, x, wrench(p), surface(p))
     return (p["rigid"] * (moved.force - p["f_push"]),)
 
 

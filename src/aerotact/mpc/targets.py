@@ -15,6 +15,7 @@ from aerotact.dynamics.contact import tool_wrench
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.rotors import least_thrust
 from aerotact.mpc.contact_targets import CONTACT_PORTS, add_contact
+from aerotact.mpc.prediction import ahead
 from aerotact.ports import Array, Block, BlockBuilder, Layout, Port
 
 
@@ -112,8 +113,24 @@ def _cut(value: Any, limits: tuple[Array, Array]) -> Any:
     return ca.fmin(ca.fmax(value, lower), upper)
 
 
+def _on_their_way(b: BlockBuilder, model: Model, delay: int, now: Any) -> list[Any]:
+    """Actuators' values since the measurement, oldest first; declares the memory of them."""
+    hover = tuple(float(v) for v in model.actuators.default)
+    kept = [b.state(f"actuators_{i}", len(hover), "1", default=hover) for i in range(delay)]
+    for i, later in enumerate([*kept[1:], now]):
+        b.update(f"actuators_{i}", later)
+    return kept
+
+
 def make_targets(
-    name: str, doc: str, model: Model, times: list[float], rate: float, uses: set[str], weights: list[Port]
+    name: str,
+    doc: str,
+    model: Model,
+    times: list[float],
+    rate: float,
+    uses: set[str],
+    weights: list[Port],
+    delay: int = 0,
 ) -> Targets:
     """Build the block.
 
@@ -124,6 +141,8 @@ def make_targets(
         rate: Hz.
         uses: which targets the residuals need: "desired", "admittance", "trim", "contact".
         weights: parameter ports of the residuals' weights.
+        delay: periods from a measurement to the command that answers it; nodes and modelled actuators are those of
+            then, and the base is predicted through the commands that are on their way.
     """
     b = BlockBuilder(name, "aerotact", rate, doc)
     x = ca.vertcat(
@@ -175,8 +194,16 @@ def make_targets(
             trim = _trim(model, motion, *wrench, tilt)
             column += [trim[p.name] for p in model.actuators]
             tilt = trim.get("tilt")
-    b.output("x0", ca.vertcat(x, *actuators.values()), "1")
+    layout = Layout(ports)
+    now = ca.vertcat(*actuators.values())
+    if delay:
+        x0 = ahead(
+            model, x, [*_on_their_way(b, model, delay, now), now], 1.0 / rate, layout.split(ca.vertcat(*columns[0]))
+        )
+    else:
+        x0 = ca.vertcat(x, now)
+    b.output("x0", x0, "1")
     b.output("stage", ca.horzcat(*[ca.vertcat(*c) for c in columns]), "1")
     for port, value in telemetry:
         b.output(port.name, value, port.unit, frame=port.frame, doc=port.doc, kind=port.kind)
-    return Targets(b.build(), Layout(ports), Layout(port for port, _ in telemetry))
+    return Targets(b.build(), layout, Layout(port for port, _ in telemetry))
