@@ -20,7 +20,7 @@ def rotation(q: np.ndarray) -> np.ndarray:
     return R.reshape(3, 3)
 
 
-@pytest.mark.parametrize("world", [None, "floor", "wall", "table"])
+@pytest.mark.parametrize("world", [None, "floor", "wall", "table", "pitched_wall", "undulating_wall"])
 def test_hover_stays(robot: Robot, world: str | None) -> None:
     plant = Plant(robot, world)
     before = plant.truth()

@@ -34,7 +34,8 @@ def attach_world(spec: Any, name_or_path: str | Path) -> None:
     """Add a world's geoms, lights and assets to a robot's `mujoco.MjSpec`; the robot's own options stay.
 
     Names keep as they are. Geoms that can be touched have names that start with "surface"; friction[0] of such a geom
-    is the Coulomb coefficient of the tip on it.
+    is the Coulomb coefficient of the tip on it. A surface that brings its own solref has a priority above the tip's and
+    condim 1, since friction is added by the plant.
 
     Raises:
         UnknownName: no such world.
