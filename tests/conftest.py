@@ -18,8 +18,11 @@ from aerotact.ports import Block
 from aerotact.robot import load_robot
 
 ROOT = Path(__file__).parents[1]
-ROBOTS = {"tilt_hex": ROOT / "models" / "tilt_hex", "octorotor": ROOT / "tests" / "fixtures" / "octorotor"}
-TILTING = {"tilt_rotor": ROOT / "models" / "tilt_rotor"}
+ROBOTS = {
+    **{name: ROOT / "models" / name for name in ("tilt_hex", "tilt_rotor")},
+    "octorotor": ROOT / "tests" / "fixtures" / "octorotor",
+}
+FIXED = ("octorotor", "tilt_hex")  # robots whose rotors do not tilt
 PROBLEM = ROOT / "ocp" / "tilt_hex_admittance.toml"
 RATE = 500.0
 BLOCKS = sorted({**laws(), **estimators()})
@@ -37,7 +40,7 @@ def compile_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def models() -> dict[str, Model]:
-    return {name: Model(load_robot(folder)) for name, folder in (ROBOTS | TILTING).items()}
+    return {name: Model(load_robot(folder)) for name, folder in ROBOTS.items()}
 
 
 @pytest.fixture(scope="session", params=sorted(ROBOTS))
@@ -57,15 +60,9 @@ def tilting(models: dict[str, Model]) -> Model:
     return models["tilt_rotor"]
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """What asks for a block gets those of the robots with tilting rotors, too."""
-    if "block" in metafunc.fixturenames:
-        metafunc.parametrize("model", sorted(ROBOTS | TILTING), indirect=True, scope="session")
-
-
 @pytest.fixture(scope="session", params=BLOCKS)
 def block(request: pytest.FixtureRequest, model: Model) -> Block:
-    """Every law and every estimator, for every robot that it fits (tests/contract looks at the others)."""
+    """Every law and every estimator, for every robot that has what it needs; tests/contract looks at the others."""
     try:
         return {**laws(), **estimators()}[request.param](model, RATE)
     except MissingCapability as error:
@@ -79,12 +76,12 @@ def block_c(block: Block, model: Model) -> CProject:
 
 @pytest.fixture(scope="session")
 def ocps(models: dict[str, Model]) -> dict[str, Ocp]:
-    return {name: load_ocp(PROBLEM, models[name]) for name in ROBOTS}
+    return {name: load_ocp(PROBLEM, models[name]) for name in FIXED}
 
 
-@pytest.fixture(scope="session")
-def ocp(model: Model, ocps: dict[str, Ocp]) -> Ocp:
-    return ocps[model.robot.name]
+@pytest.fixture(scope="session", params=FIXED)
+def ocp(request: pytest.FixtureRequest, ocps: dict[str, Ocp]) -> Ocp:
+    return ocps[request.param]
 
 
 @pytest.fixture(scope="session")
