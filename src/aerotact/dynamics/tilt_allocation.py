@@ -17,7 +17,7 @@ from aerotact.dynamics.model import Model
 from aerotact.dynamics.rotors import allocation_parts, tilting
 from aerotact.exceptions import MissingCapability
 
-QUIET = 0.02  # of the highest thrust, below which an angle moves the less the smaller the thrust
+QUIET = 0.1  # of the highest thrust, below which an angle moves the less the smaller the thrust
 
 
 @dataclass(frozen=True)
