@@ -1,8 +1,9 @@
 """contact_observer: contact of the tool with a surface, its friction, and what else pushes the robot.
 
 The tool's force is measured, so that the residuals of force and torque can be cleared of it: what is left is the
-disturbance, errors of the rotors' model included. In contact, the disturbance along the normal is found from a static
-balance instead, much faster: there the tip does not accelerate, and each newton of it is an error of the contact force.
+disturbance, errors of the rotors' model included. A push on the tool away from every surface is a disturbance, too. In
+contact, the disturbance along the normal is found from a static balance instead, much faster: there the tip does not
+accelerate, and each newton of it is an error of the contact force.
 """
 
 from typing import Any
@@ -69,6 +70,8 @@ def contact_observer(model: Model, rate: float) -> Block:
     samples = b.state("tare_samples", 1, "1", doc="samples in the tare's mean")
     f_dist = b.state("f_dist_W", 3, "N", frame="W", doc="disturbance force")
     tau_dist = b.state("tau_dist_B", 3, "N m", frame="B", doc="disturbance torque about the centre of mass")
+    f_tool = b.state("f_tool_W", 3, "N", frame="W", doc="force on the tool, filtered as the disturbance")
+    tau_tool = b.state("tau_tool_B", 3, "N m", frame="B", doc="its torque about the centre of mass")
     spin_before = b.state("spin_B", 3, "N m s", frame="B", doc="angular momentum one step ago")
     torque_before = b.state("torque_B", 3, "N m", frame="B", doc="known torque one step ago")
     f_normal_dist = b.state("f_normal_dist", 1, "N", doc="disturbance along the normal, from the static balance")
@@ -99,6 +102,8 @@ def contact_observer(model: Model, rate: float) -> Block:
     f_rotors_W = ca.mtimes(R_WB, rotors[0:3])
     f_residual = robot.mass * ca.mtimes(R_WB, s_C_B) - f_rotors_W - f_tip_W
     f_next = f_dist + first_order_gain(L, period) * (f_residual - f_dist)
+    f_tool_next = f_tool + first_order_gain(L, period) * (f_tip_W - f_tool)
+    tau_tool_next = tau_tool + first_order_gain(K_I, period) * (tau_tip_B - tau_tool)
 
     # contact
     n = ca.if_else(valid > 0, seen_n, held_n)
@@ -115,7 +120,9 @@ def contact_observer(model: Model, rate: float) -> Block:
     f_normal_next = ca.if_else(
         contact_next, f_normal_dist + first_order_gain(L_normal, period) * (balance - f_normal_dist), along
     )
-    f_out = f_next + ca.if_else(contact_next, f_normal_next - along, 0) * n
+    apart = ca.logic_not(ca.logic_or(contact_next, near))
+    f_out = f_next + ca.if_else(contact_next, f_normal_next - along, 0) * n + apart * f_tool_next
+    tau_out = tau_next + apart * tau_tool_next
 
     # friction
     v_WE = base.v_WB + ca.mtimes(R_WB, ca.cross(base.w_B, ca.DM(robot.p_BE)))
@@ -132,6 +139,8 @@ def contact_observer(model: Model, rate: float) -> Block:
         "tare_samples": count * learning,
         "f_dist_W": f_next,
         "tau_dist_B": tau_next,
+        "f_tool_W": f_tool_next,
+        "tau_tool_B": tau_tool_next,
         "spin_B": spin,
         "torque_B": torque,
         "f_normal_dist": f_normal_next,
@@ -144,7 +153,7 @@ def contact_observer(model: Model, rate: float) -> Block:
     for name, value in updates.items():
         b.update(name, value)
     b.output("f_dist_W", f_out, "N", frame="W", doc="disturbance force on the robot, the tool's contact excluded")
-    b.output("tau_dist_B", tau_next, "N m", frame="B", doc="its torque about the centre of mass")
+    b.output("tau_dist_B", tau_out, "N m", frame="B", doc="its torque about the centre of mass")
     b.output("f_tip_W", f_tip_W, "N", frame="W", doc="force of the environment on the tip, unfiltered")
     b.output("normal_force", normal_next, "N", doc="its low-passed part along the surface's normal")
     b.output("contact", contact_next, "1", kind="flag", doc="1 if the tip is at the surface")

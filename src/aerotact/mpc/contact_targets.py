@@ -17,6 +17,7 @@ import casadi as ca
 
 from aerotact.dynamics import so3
 from aerotact.dynamics.contact import SMOOTH_GAP, tangential
+from aerotact.laws.bodie2021.confidence import Span, nearness
 from aerotact.ports import BlockBuilder, Port
 
 FORCE_WANTED = 0.05  # N; a smaller reference is none
@@ -33,6 +34,7 @@ CONTACT_PORTS = (
     Port("push", 1, "1"),
     Port("approach", 1, "1"),
     Port("v_approach", 1, "m/s"),
+    Port("near", 1, "1"),
     Port("approach_speed", 1, "m/s"),
     Port("approach_slope", 1, "1/s"),
 )
@@ -80,6 +82,11 @@ def add_contact(b: BlockBuilder, pose: tuple[Any, Any], times: list[float], rate
     force_rate = b.parameter("force_rate", 1, "N/s", 200.0, doc="highest rate of the force wanted", lower=0.0)
     preload = b.parameter("preload", 1, "N", 0.5, doc="force wanted when contact is made", lower=0.0)
 
+    span = Span(
+        b.parameter("d_min", 1, "m", 0.2, doc="distance up to which the impedance is that of the wall", lower=0.0),
+        b.parameter("d_max", 1, "m", 0.4, doc="distance from which it is that of free flight", lower=0.0),
+    )
+
     # the plane: far in front of the tip where none is seen
     p_WE, q_WE = pose
     z_E = so3.rotation(q_WE)[:, 2]
@@ -105,12 +112,13 @@ def add_contact(b: BlockBuilder, pose: tuple[Any, Any], times: list[float], rate
     b.update("f_push", now + ca.fmin(ca.fmax(f_ref[0] - now, -step), step))
     speed = ca.fmin(fast, slow + slope * ca.fmax(gap, 0))
 
+    near = ca.if_else(known, nearness(distance, span), 0)
     columns, forces = [], []
     for k, time in enumerate(times):
         reachable = force_rate * time
         f_push = wanted * (now + ca.fmin(ca.fmax(f_ref[k] - now, -reachable), reachable))
         columns.append(
-            [n, offset, friction, stiffness, damping, pushing, f_push, wanted, approaching, speed, slow, slope]
+            [n, offset, friction, stiffness, damping, pushing, f_push, wanted, approaching, speed, near, slow, slope]
         )
         forces.append(touching * (ca.if_else(wanted, f_push, ca.fmax(normal, 0)) * n + tangential(n, f_tip_W)))
     telemetry = [

@@ -219,15 +219,15 @@ def _terms(
     model: Model, targets: Targets, residuals: list[Residual], x: Any, u: Any, stage: Any, parameters: Any
 ) -> tuple[Any, Any]:
     """Residuals and weights, one below the other."""
-    stage_parts = targets.stage.split(stage)
-    weights = targets.block.parameters.split(parameters)
+    shared = targets.block.parameters.split(parameters)
+    known = {**shared, **targets.stage.split(stage)}
     values, scales = [], []
     for residual in residuals:
-        built = residual.build(model, x, u, stage_parts)
+        built = residual.build(model, x, u, known)
         for term, value in zip(residual.terms, built, strict=True):
             label = residual.name if residual.name == term.key else f"{residual.name}_{term.key}"
             values.append(value)
-            scales.append(weights[f"{WEIGHT}{label}"])
+            scales.append(shared[f"{WEIGHT}{label}"])
     return ca.vertcat(*values), ca.vertcat(*scales)
 
 

@@ -8,14 +8,16 @@ way to approach and force while a force is wanted.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import casadi as ca
 
 from aerotact.dynamics import so3
-from aerotact.dynamics.contact import contact_motion
+from aerotact.dynamics.contact import contact_motion, tool_wrench
 from aerotact.dynamics.model import Model
+from aerotact.dynamics.motion import BaseMotion
+from aerotact.laws.bodie2021 import impedance as soft
 from aerotact.mpc.prediction import surface, wrench
 
 
@@ -37,7 +39,8 @@ class Residual:
     """A residual block.
 
     Attributes:
-        uses: kinds of stage parameters that it reads: "desired" or "admittance" motion of the tool, "trim", "contact".
+        uses: kinds of stage parameters that it reads: "desired" or "admittance" motion of the tool, "base", that of the
+            base that gives the desired one, "trim", "contact"; and of parameters: "impedance".
         controls: it depends on the controls, so that it has no terminal part.
         build: (model, x, u, stage parameters by name) -> one expression a term.
     """
@@ -85,6 +88,32 @@ def _motion(suffix: str) -> Callable[[Model, Any, Any, dict[str, Any]], tuple[An
 
 def _thrust(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
     return (model.state.split(x)["thrust"] - p["thrust_trim"],)
+
+
+def _base_pose(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    s = model.state.split(x)
+    return s["p_WB"] - p["p_WB_d"], so3.local(p["q_WB_d"], s["q_WB"])
+
+
+def _impedance(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    """Accelerations less those of the target dynamics, bodie2021 (7) with (8)-(11), in B."""
+    s, robot = model.state.split(x), model.robot
+    base = BaseMotion(s["p_WB"], s["q_WB"], s["v_WB"], s["w_B"])
+    reference = BaseMotion(p["p_WB_d"], p["q_WB_d"], p["v_WB_d"], p["w_B_d"], p["a_WB_d"], p["dw_B_d"])
+    gains = soft.Impedance(**{f.name: p[f.name] for f in fields(soft.Impedance)})
+    moved = contact_motion(model, x, wrench(p), surface(p))
+    felt = wrench(p) + tool_wrench(model, s["q_WB"], moved.f_tool_W)
+    R_BW = so3.rotation(s["q_WB"]).T
+    f_B = ca.mtimes(R_BW, felt[0:3])
+    tau_B = felt[3:6] + ca.cross(ca.DM(robot.p_BC), f_B)
+    errors = soft.tracking_errors(base, reference)
+    ratio = soft.mass_ratio(gains, ca.DM(robot.R_BE[:, 2]), p["near"])
+    f_imp, tau_imp = soft.impedance_wrench(gains, errors, ratio, ca.DM(3, 3), ca.DM(robot.p_BE), f_B, tau_B)
+    a_ref, dw_ref = soft.reference_acceleration(base, reference)
+    a_B = ca.mtimes(R_BW, moved.a_WB) - ca.cross(s["w_B"], ca.mtimes(R_BW, s["v_WB"]))
+    linear = a_B - a_ref - (f_imp + f_B) / robot.mass
+    angular = moved.dw_B - dw_ref - ca.mtimes(model.inverse_inertia, tau_imp + tau_B)
+    return linear, angular
 
 
 def _approach(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
@@ -140,6 +169,15 @@ RESIDUALS = {
             (Term("tilt", "tilt", "1/rad^2"),),
             _tilt,
             ("trim",),
+        ),
+        Residual("base_pose", "base pose minus that of the desired tool pose", ("tool",), _POSE, _base_pose, ("base",)),
+        Residual(
+            "impedance",
+            "accelerations of the base minus those of the target dynamics of bodie2021 (7)",
+            ("tool",),
+            (Term("linear", 3, "s^4/m^2"), Term("angular", 3, "s^4/rad^2")),
+            _impedance,
+            ("base", "contact", "impedance"),
         ),
         Residual(
             "approach",

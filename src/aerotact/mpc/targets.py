@@ -13,10 +13,21 @@ from aerotact.dynamics import admittance as adm
 from aerotact.dynamics import so3
 from aerotact.dynamics.contact import tool_wrench
 from aerotact.dynamics.model import Model
+from aerotact.dynamics.motion import base_reference
 from aerotact.dynamics.rotors import least_thrust
+from aerotact.laws.bodie2021.impedance import add_impedance
 from aerotact.mpc.contact_targets import CONTACT_PORTS, add_contact
 from aerotact.mpc.prediction import ahead
 from aerotact.ports import Array, Block, BlockBuilder, Layout, Port
+
+BASE_PORTS = (
+    Port("p_WB_d", 3, "m", "W"),
+    Port("q_WB_d", 4, "1", "W", kind="quaternion"),
+    Port("v_WB_d", 3, "m/s", "W"),
+    Port("w_B_d", 3, "rad/s", "B"),
+    Port("a_WB_d", 3, "m/s^2", "W"),
+    Port("dw_B_d", 3, "rad/s^2", "B"),
+)
 
 
 @dataclass(frozen=True)
@@ -139,7 +150,8 @@ def make_targets(
         model: of the robot.
         times: nodes, s.
         rate: Hz.
-        uses: which targets the residuals need: "desired", "admittance", "trim", "contact".
+        uses: which targets the residuals need: "desired", "base", "admittance", "trim",
+            "contact", "impedance".
         weights: parameter ports of the residuals' weights.
         delay: periods from a measurement to the command that answers it; nodes and modelled actuators are those of
             then, and the base is predicted through the commands that are on their way.
@@ -155,6 +167,8 @@ def make_targets(
     which, rest = ("dist", ", the tool's contact excluded") if "contact" in uses else ("ext", "")
     f_ext = b.measurement(f"f_{which}_W", 3, "N", frame="W", doc=f"force of the environment on the robot{rest}")
     tau_ext = b.measurement(f"tau_{which}_B", 3, "N m", frame="B", doc="its torque about the centre of mass")
+    if "impedance" in uses:
+        add_impedance(b)
     for port in weights:
         b.parameter(port.name, port.size, port.unit, port.default, doc=port.doc, lower=0.0)
     desired = _motions(b, model, len(times))
@@ -171,6 +185,11 @@ def make_targets(
         for column, motion in zip(columns, motions, strict=True):
             w_E = ca.mtimes(so3.rotation(motion.q_WE).T, motion.w_WE)
             column += [motion.p_WE, motion.q_WE, motion.v_WE, w_E]
+    if "base" in uses:
+        ports += BASE_PORTS
+        for column, motion in zip(columns, target, strict=True):
+            base = base_reference(model, motion)
+            column += [base.p_WB, base.q_WB, base.v_WB, base.w_B, base.a_WB, base.dw_B]
     expected = [(f_ext, tau_ext) for _ in times]
     telemetry: list[tuple[Port, Any]] = [
         (Port("p_WE_r", 3, "m", "W", "tool position aimed at"), target[0].p_WE),
