@@ -15,7 +15,7 @@ from aerotact.ports import Array, Layout
 SECONDS = 4.0
 SUBSTEPS = 4
 OFFSET = np.array([0.05, 0.0, 0.0])
-_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N"}
+_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N", "f_push_B": "N"}
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def make_example(
     wanted = {"p_WE_d": "p_WE", "q_WE_d": "q_WE", "p_WB_r": "p_WB", "q_WB_r": "q_WB"}
     constants = {p.name: at_hover[wanted[p.name]] for p in reference if p.name in wanted}
     estimate = next((n for n in _JUDGED if n in output), "")
-    goal = at_hover[judged] if limited or estimate != "f_ext_W" else np.zeros(3)
+    goal = at_hover[judged] if limited or _JUDGED.get(estimate) != "N" else np.zeros(3)
     start = x0 + np.concatenate([OFFSET if limited else np.zeros(3), np.zeros(x0.size - 3)])
     header = "\n".join(
         [
