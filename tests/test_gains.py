@@ -7,7 +7,7 @@ import pytest
 
 from aerotact.dynamics.model import Model
 from aerotact.estimation import estimators
-from aerotact.exceptions import RobotError
+from aerotact.exceptions import MissingCapability, RobotError
 from aerotact.laws import laws
 from aerotact.robot_file import Quantity
 
@@ -22,7 +22,10 @@ def test_every_block_has_the_name_it_is_found_by(model: Model) -> None:
     found = {**laws(), **estimators()}
     assert {"ryll2019_admittance", "ryll2019_pose_control", "wrench_observer", "state_estimator"} <= set(found)
     for name, build in found.items():
-        block = build(model, 500.0)
+        try:
+            block = build(model, 500.0)
+        except MissingCapability:
+            continue
         assert block.name == name
         assert block.rate == 500.0
         for layout in (block.state, block.measurement, block.reference, block.parameters, block.output):

@@ -1,5 +1,6 @@
 """Allocation of a wrench to thrusts and tilt angles: exact, least thrust at rest, no jump at pi, within range."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -8,18 +9,24 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerotact.dynamics.model import Model
-from aerotact.dynamics.tilt_allocation import QUIET, Allocation, allocate
+from aerotact.dynamics.tilt_allocation import QUIET, allocate
 from aerotact.exceptions import MissingCapability
 from aerotact.ports import Array
 
 SHARES = (1.0, 0.5, 0.1)
 
 
-def _allocate(model: Model, wrench: Array, tilt: Array, share: float) -> tuple[Array, Array, Array]:
+def _allocator(model: Model, share: float) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+    """From wrench and angles to thrust, angles commanded and the wrench in reach."""
     w, a = ca.SX.sym("w", 6), ca.SX.sym("a", model.tilts)
-    result: Allocation = allocate(model, w, a, share)
+    result = allocate(model, w, a, share)
     f = ca.Function("allocate", [w, a], [result.thrust, result.tilt, result.reachable])
-    return tuple(v.full().ravel() for v in f(wrench, tilt))  # type: ignore[return-value]
+
+    def run(wrench: Array, tilt: Array) -> tuple[Array, Array, Array]:
+        thrust, angle, reachable = (v.full().ravel() for v in f(wrench, tilt))
+        return thrust, angle, reachable
+
+    return run
 
 
 def _given(model: Model, thrust: Array, tilt: Array) -> Array:
@@ -33,9 +40,9 @@ def _near_hover(model: Model, rng: np.random.Generator, size: float) -> Array:
 
 def _settled(model: Model, wrench: Array, share: float) -> tuple[Array, Array]:
     """Commands when the angles have come to rest."""
-    tilt = model.robot.hover_tilt
+    tilt, run = model.robot.hover_tilt, _allocator(model, share)
     for _ in range(400):
-        thrust, tilt, _ = _allocate(model, wrench, tilt, share)
+        thrust, tilt, _ = run(wrench, tilt)
     return thrust, tilt
 
 
@@ -44,7 +51,7 @@ def test_reachable_wrench_is_given_exactly(tilting: Model, share: float) -> None
     rng = np.random.default_rng(1)
     for _ in range(20):
         wrench = _near_hover(tilting, rng, 0.1)
-        thrust, tilt, reachable = _allocate(tilting, wrench, tilting.robot.hover_tilt, share)
+        thrust, tilt, reachable = _allocator(tilting, share)(wrench, tilting.robot.hover_tilt)
         np.testing.assert_allclose(_given(tilting, thrust, tilt), wrench, atol=1e-9)
         np.testing.assert_allclose(reachable, wrench, atol=1e-9)
 
@@ -71,7 +78,7 @@ def test_angles_at_rest_are_those_of_the_pseudo_inverse(tilting: Model, share: f
 def test_smaller_share_turns_less(tilting: Model) -> None:
     wrench = np.array([6.0, 0, tilting.robot.mass * tilting.robot.gravity, 0, 0, 0])
     tilt = 0.15 * np.array([-1, 1, -1, 1, -1, 1])
-    turns = [np.abs(_allocate(tilting, wrench, tilt, share)[1] - tilt).sum() for share in SHARES]
+    turns = [np.abs(_allocator(tilting, share)(wrench, tilt)[1] - tilt).sum() for share in SHARES]
     assert turns[0] > turns[1] > turns[2]
 
 
@@ -79,10 +86,10 @@ def test_angle_goes_on_through_pi(tilting: Model) -> None:
     """A whole turn of the body about its roll axis: every angle moves in small steps and within its range."""
     weight, tilt = tilting.robot.mass * tilting.robot.gravity, tilting.robot.hover_tilt
     lower, upper = tilting.tilt_limits
-    steps, seen = [], []
+    steps, seen, run = [], [], _allocator(tilting, 1.0)
     for roll in np.linspace(0, 2 * np.pi, 2000):
         f_B = Rotation.from_euler("x", roll).inv().apply([0, 0, weight])
-        _, after, _ = _allocate(tilting, np.concatenate([f_B, np.zeros(3)]), tilt, 1.0)
+        _, after, _ = run(np.concatenate([f_B, np.zeros(3)]), tilt)
         steps.append(np.abs(after - tilt))
         tilt = after
         seen.append(tilt)
@@ -101,23 +108,23 @@ def test_angle_beyond_the_range_comes_back_by_a_whole_turn(tilting: Model) -> No
     tilt = upper.copy()  # a whole number of turns: upright
     assert np.allclose(np.cos(upper), 1)
     side = np.concatenate([[3.0, 0, weight], np.zeros(3)])
-    _, after, _ = _allocate(tilting, side, tilt, 1.0)
+    _, after, _ = _allocator(tilting, 1.0)(side, tilt)
     assert (after <= upper + 1e-12).all()
     turned = after < upper - np.pi
     assert turned.any()
-    direct = _allocate(tilting, side, np.zeros(tilting.tilts), 1.0)[1]
+    direct = _allocator(tilting, 1.0)(side, np.zeros(tilting.tilts))[1]
     np.testing.assert_allclose(np.cos(after), np.cos(direct), atol=1e-9)
     np.testing.assert_allclose(np.sin(after), np.sin(direct), atol=1e-9)
-    np.testing.assert_allclose(_allocate(tilting, wrench, tilt, 1.0)[1], tilt, atol=1e-9)
+    np.testing.assert_allclose(_allocator(tilting, 1.0)(wrench, tilt)[1], tilt, atol=1e-9)
 
 
 def test_angle_stays_where_there_is_no_thrust(tilting: Model) -> None:
     tilt = np.linspace(-1, 1, tilting.tilts)
-    thrust, after, _ = _allocate(tilting, np.zeros(6), tilt, 0.5)
+    thrust, after, _ = _allocator(tilting, 0.5)(np.zeros(6), tilt)
     np.testing.assert_allclose(after, tilt, atol=1e-5)
     assert thrust.max() < 1e-5
     small = 1e-3 * QUIET * tilting.thrust_limits[1][0]
-    _, after, _ = _allocate(tilting, np.array([small, 0, 0, 0, 0, 0]), tilt, 0.5)
+    _, after, _ = _allocator(tilting, 0.5)(np.array([small, 0, 0, 0, 0, 0]), tilt)
     assert np.abs(after - tilt).max() < 0.01
 
 
@@ -125,7 +132,7 @@ def test_thrust_waits_for_a_servo_that_points_away(tilting: Model) -> None:
     """Upside down, no thrust is given until the servos have turned; the saturation is told."""
     weight = tilting.robot.mass * tilting.robot.gravity
     wrench = np.array([0, 0, weight, 0, 0, 0])
-    thrust, _, reachable = _allocate(tilting, wrench, np.full(tilting.tilts, 2.5), 1.0)
+    thrust, _, reachable = _allocator(tilting, 1.0)(wrench, np.full(tilting.tilts, 2.5))
     assert thrust.max() < 1e-9
     assert reachable[2] < 0.0, "what the idling rotors give"
 
@@ -136,7 +143,7 @@ def test_rotor_that_does_not_tilt_gives_its_one_direction(tilting: Model) -> Non
     mixed = Model(replace(robot, rotors=rotors, hover_tilt=robot.hover_tilt[1:]))
     for _ in range(10):
         wrench = _near_hover(mixed, rng, 0.05)
-        thrust, tilt, _ = _allocate(mixed, wrench, mixed.robot.hover_tilt, 0.5)
+        thrust, tilt, _ = _allocator(mixed, 0.5)(wrench, mixed.robot.hover_tilt)
         np.testing.assert_allclose(_given(mixed, thrust, tilt), wrench, atol=1e-9)
 
 
@@ -147,4 +154,4 @@ def test_hinge_off_the_thrusts_line_is_refused(tilting: Model) -> None:
     off = replace(rotor, tilt=replace(rotor.tilt, p_BH=rotor.tilt.p_BH + 0.05 * np.cross(rotor.tilt.axis_B, [0, 0, 1])))
     other = Model(replace(robot, rotors=(off, *robot.rotors[1:])))
     with pytest.raises(MissingCapability, match="square to the thrust"):
-        _allocate(other, np.zeros(6), robot.hover_tilt, 1.0)
+        _allocator(other, 1.0)(np.zeros(6), robot.hover_tilt)

@@ -17,7 +17,7 @@ SECONDS = 4.0
 SUBSTEPS = 4
 OFFSET = np.array([0.05, 0.0, 0.0])
 AHEAD = 1.0  # m, from the tool to a plate
-_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N", "n_W": "1"}
+_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N", "f_push_B": "N", "n_W": "1"}
 
 
 @dataclass(frozen=True)
@@ -108,11 +108,7 @@ def make_example(
     wanted = {"p_WE_d": "p_WE", "q_WE_d": "q_WE", "p_WB_r": "p_WB", "q_WB_r": "q_WB"}
     constants = {p.name: at_hover[wanted[p.name]] for p in reference if p.name in wanted}
     estimate = next((n for n in _JUDGED if n in output), "")
-    goal = (
-        at_hover[judged]
-        if limited
-        else {"f_ext_W": np.zeros(3)}.get(estimate, at_hover.get(estimate, at_hover[judged]))
-    )
+    goal = np.zeros(3) if not limited and _JUDGED.get(estimate) == "N" else at_hover.get(estimate, at_hover[judged])
     start = x0 + np.concatenate([OFFSET if limited else np.zeros(3), np.zeros(x0.size - 3)])
     header = "\n".join(
         [

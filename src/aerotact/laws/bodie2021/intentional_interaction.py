@@ -70,7 +70,7 @@ def bodie2021_impedance_force(model: Model, rate: float) -> Block:
     model.require(["six_axis_wrench", "tilt", "tool", "force_torque"], f"law {NAME}")
     b = BlockBuilder(NAME, "bodie2021", rate, "variable axis-selective impedance with direct force control (3)-(26)")
     base, desired = add_base(b, model), add_desired_tool(b, model)
-    wanted = b.reference("f_ref", 1, "N", doc="force on the surface along the push", lower=0.0)
+    wanted = ca.fmax(b.reference("f_ref", 1, "N", doc="force on the surface along the push; none if negative"), 0)
     surface = _add_surface(b)
     compliant = _add_span(b, "d", 0.2, 0.4, "distance of the surface", "(8), (15)")
     trusted = _add_span(b, "e", 0.15, 0.25, "tool error along the push", "(16)")
