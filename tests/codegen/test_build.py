@@ -3,6 +3,7 @@
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -72,6 +73,20 @@ def test_second_controller_does_not_compile(
     changed = CProject(law_c.name, {**law_c.files, "src/new.h": "\n"}, law_c.sources)
     with pytest.raises(AssertionError, match="ran again"):
         Controller(changed)
+
+
+def test_every_file_is_compiled_once(empty_cache: Path, law_c: CProject, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, commands = build.subprocess.run, []
+
+    def watch(command: list[str], **rest: Any) -> Any:
+        commands.append(command)
+        return run(command, **rest)
+
+    monkeypatch.setattr(build.subprocess, "run", watch)
+    compile_library(law_c)
+    compiled = [word for command in commands if "-c" in command for word in command if word.endswith(".c")]
+    assert sorted(compiled) == sorted(law_c.sources)
+    assert len(commands) == len(law_c.sources) + 1
 
 
 def test_other_flags_are_another_library(empty_cache: Path, law_c: CProject) -> None:

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from aerotact.codegen.project import CProject
@@ -64,12 +65,16 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS, cache: Pa
         root = Path(scratch)
         project.write(root / "project")
         built = root / library.name
-        objects = [Path(p).with_suffix(".o").name for p in project.third_party]
-        if objects:
-            quiet = [f for f in flags if not f.startswith("-W") and f != "-pedantic"]
-            _compile(project, root, [*compiler, *quiet, "-w", "-fPIC", "-c", *project.third_party])
-        own = [*compiler, *flags, "-fPIC", "-shared", "-Iinclude", "-Isrc", *project.sources, *objects]
-        _compile(project, root, [*own, "-lm", "-o", str(built)])
+        quiet = [*(f for f in flags if not f.startswith("-W") and f != "-pedantic"), "-w"]
+        jobs = [
+            *([*compiler, *flags, "-fPIC", "-Iinclude", "-Isrc", "-c", p] for p in project.sources),
+            *([*compiler, *quiet, "-fPIC", "-c", p] for p in project.third_party),
+        ]
+        jobs.sort(key=lambda job: len(project.files[job[-1]]), reverse=True)  # the longest first
+        objects = [f"{number}.o" for number in range(len(jobs))]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(lambda job, o: _compile(project, root, [*job, "-o", o]), jobs, objects))
+        _compile(project, root, [*compiler, *flags, "-shared", *objects, "-lm", "-o", str(built)])
         # A rename within the cache is atomic, so that two processes may build the same library.
         partial = library.with_suffix(f".{os.getpid()}.part")
         shutil.copy2(built, partial)
