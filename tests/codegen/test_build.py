@@ -69,7 +69,7 @@ def test_second_controller_does_not_compile(
     monkeypatch.setattr(build.subprocess, "run", refuse)
     second = Controller(law_c)
     assert first.library == second.library
-    assert [p.name for p in empty_cache.iterdir()] == [first.library.name]
+    assert {p.name for p in empty_cache.iterdir()} == {first.library.name, first.library.with_suffix(".json").name}
     changed = CProject(law_c.name, {**law_c.files, "src/new.h": "\n"}, law_c.sources)
     with pytest.raises(AssertionError, match="ran again"):
         Controller(changed)
@@ -84,9 +84,8 @@ def test_every_file_is_compiled_once(empty_cache: Path, law_c: CProject, monkeyp
 
     monkeypatch.setattr(build.subprocess, "run", watch)
     compile_library(law_c)
-    compiled = [word for command in commands if "-c" in command for word in command if word.endswith(".c")]
+    compiled = [word for command in commands for word in command if word.endswith(".c") and word != "empty.c"]
     assert sorted(compiled) == sorted(law_c.sources)
-    assert len(commands) == len(law_c.sources) + 1
 
 
 def test_other_flags_are_another_library(empty_cache: Path, law_c: CProject) -> None:
