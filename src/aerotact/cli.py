@@ -300,7 +300,9 @@ def bench(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the steps of the reference.")] = 11,
     blocks: Annotated[str, typer.Option(help="Robot whose laws and estimators are timed; 'none' for none.")] = "none",
     json_file: JsonOption = None,
-    output: OutputOption = Path("results"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for page, numbers and plot.")] = Path(
+        "results/bench"
+    ),
 ) -> None:
     """Time the generated solver beside its peers on the same quadratic programmes; print tables, plot, write a page.
 
@@ -318,8 +320,7 @@ def bench(
             raise UnknownName("solver", name, KINDS)
     robot = None if blocks == "none" else blocks
     options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, robot)
-    folder = output / "bench"
-    make_folder(folder)
+    make_folder(output)
     with progress_bar() as progress:
         task = progress.add_task("", total=None)
         race, summary = run_bench(
@@ -341,12 +342,12 @@ def bench(
     for line in summary["skipped"]:
         say(line)
     text = json.dumps(summary, indent=2) + "\n"
-    figures = plot(race, summary, folder)
-    write(folder / f"{summary['ocp']}.json", text)
+    figures = plot(race, summary, output)
+    write(output / f"{summary['ocp']}.json", text)
     if json_file is not None:
         write(json_file, text)
-    write(folder / f"{summary['ocp']}.md", page(summary, figures))
-    say(f"page:    {folder / summary['ocp']}.md")
+    write(output / f"{summary['ocp']}.md", page(summary, figures))
+    say(f"page:    {output / summary['ocp']}.md")
 
 
 def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path) -> "Options":
