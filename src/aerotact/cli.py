@@ -8,6 +8,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -132,23 +133,38 @@ def generate(
 ) -> None:
     """Write a standalone C project: header, sources, example, Makefile, CMakeLists.txt, manifest.
 
+    It is also compiled here, into the cache, if there is a compiler, for the sizes in the manifest.
+
     Examples: `aerotact generate ocp/my_problem.toml --robot models/my_robot -o my_mpc`,
     `aerotact generate ryll2019_admittance --robot models/my_robot --rate 250 -o my_law`
     """
+    from aerotact.codegen.build import measured
     from aerotact.dynamics.model import Model
+    from aerotact.exceptions import CodegenError
     from aerotact.flight import controller_project
     from aerotact.robot import load_robot
 
     if rate is not None and not 1.0 <= rate <= 1e5:
         raise InputError(f"--rate is {rate:g} Hz; valid: 1 to 100000 Hz")
+    begin = perf_counter()
     project = controller_project(name, Model(load_robot(robot)), rate)
+    generated = perf_counter()
     if rate is not None and abs(project.manifest["rate_hz"] - rate) > 1e-9:
         raise InputError(
             f"--rate is {rate:g} Hz, but '{name}' runs at {project.manifest['rate_hz']:g} Hz, set in its ocp file"
         )
     project.write(output)
     size = sum(len(text) for text in project.files.values())
-    say(f"wrote {len(project.files)} files, {size / 1024:.0f} KiB, to {output}")
+    say(f"wrote {len(project.files)} files, {size / 1024:.0f} KiB, to {output}, in {generated - begin:.1f} s")
+    try:
+        project = measured(project)
+    except CodegenError as error:
+        say(f"not compiled, so no sizes in its manifest: {str(error).splitlines()[0]}")
+    else:
+        project.write(output)
+        found = project.manifest["footprint"]
+        sizes = ", ".join(f"{k} {found[f'{k}_bytes']}" for k in ("code", "data", "workspace", "stack"))
+        say(f"bytes, {found['compiler']}: {sizes}; compiled in {perf_counter() - generated:.1f} s")
     say(f"build and run its example:  make -C {output} run")
 
 
@@ -284,7 +300,9 @@ def bench(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the steps of the reference.")] = 11,
     blocks: Annotated[str, typer.Option(help="Robot whose laws and estimators are timed; 'none' for none.")] = "none",
     json_file: JsonOption = None,
-    output: OutputOption = Path("results"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for page, numbers and plot.")] = Path(
+        "results/bench"
+    ),
 ) -> None:
     """Time the generated solver beside its peers on the same quadratic programmes; print tables, plot, write a page.
 
@@ -302,8 +320,7 @@ def bench(
             raise UnknownName("solver", name, KINDS)
     robot = None if blocks == "none" else blocks
     options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, robot)
-    folder = output / "bench"
-    make_folder(folder)
+    make_folder(output)
     with progress_bar() as progress:
         task = progress.add_task("", total=None)
         race, summary = run_bench(
@@ -325,12 +342,12 @@ def bench(
     for line in summary["skipped"]:
         say(line)
     text = json.dumps(summary, indent=2) + "\n"
-    figures = plot(race, summary, folder)
-    write(folder / f"{summary['ocp']}.json", text)
+    figures = plot(race, summary, output)
+    write(output / f"{summary['ocp']}.json", text)
     if json_file is not None:
         write(json_file, text)
-    write(folder / f"{summary['ocp']}.md", page(summary, figures))
-    say(f"page:    {folder / summary['ocp']}.md")
+    write(output / f"{summary['ocp']}.md", page(summary, figures))
+    say(f"page:    {output / summary['ocp']}.md")
 
 
 def _flight_options(robot: str | None, truth: bool, delay: str, folder: Path) -> "Options":

@@ -144,5 +144,5 @@ def test_the_command_writes_page_and_numbers(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "numbers.json").read_text())
     assert summary["ocp"] == "H"
     assert summary["solvers"]["aerotact"]["error_u0"]["max"] < 2e-3
-    assert (tmp_path / "bench" / "H.md").read_text().startswith("# Benchmark H")
-    assert (tmp_path / "bench" / "H.png").is_file()
+    assert (tmp_path / "H.md").read_text().startswith("# Benchmark H")
+    assert (tmp_path / "H.png").is_file()

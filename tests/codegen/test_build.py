@@ -3,6 +3,7 @@
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -68,10 +69,23 @@ def test_second_controller_does_not_compile(
     monkeypatch.setattr(build.subprocess, "run", refuse)
     second = Controller(law_c)
     assert first.library == second.library
-    assert [p.name for p in empty_cache.iterdir()] == [first.library.name]
+    assert {p.name for p in empty_cache.iterdir()} == {first.library.name, first.library.with_suffix(".json").name}
     changed = CProject(law_c.name, {**law_c.files, "src/new.h": "\n"}, law_c.sources)
     with pytest.raises(AssertionError, match="ran again"):
         Controller(changed)
+
+
+def test_every_file_is_compiled_once(empty_cache: Path, law_c: CProject, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, commands = build.subprocess.run, []
+
+    def watch(command: list[str], **rest: Any) -> Any:
+        commands.append(command)
+        return run(command, **rest)
+
+    monkeypatch.setattr(build.subprocess, "run", watch)
+    compile_library(law_c)
+    compiled = [word for command in commands for word in command if word.endswith(".c") and word != "empty.c"]
+    assert sorted(compiled) == sorted(law_c.sources)
 
 
 def test_other_flags_are_another_library(empty_cache: Path, law_c: CProject) -> None:

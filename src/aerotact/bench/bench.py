@@ -71,7 +71,8 @@ def _race(
 
 
 def _growth(options: Options, first: Race, progress: Progress) -> dict[str, Any]:
-    """Medians over the horizon for the generated solver and acados."""
+    """Medians over the horizon for the generated solver and acados: of the whole, and of preparation, whose work does
+    not depend on which bounds are active."""
     steps = sorted(set(options.horizons))
     if not steps:
         return {}
@@ -84,6 +85,8 @@ def _growth(options: Options, first: Race, progress: Progress) -> dict[str, Any]
         for name, found in (("aerotact", result.records.get("aerotact")), ("acados", best)):
             if found is not None:
                 medians.setdefault(name, []).append(float(np.median(found.quiet)))
+                prepare = float(np.median(found.quiet_of(found.prepare)))
+                medians.setdefault(f"{name}, preparation", []).append(prepare)
     return {
         "steps": steps,
         "samples": min(options.samples, GROWTH_SAMPLES),

@@ -6,8 +6,9 @@ from typing import Any
 import cffi
 import numpy as np
 
-from aerotact.bench.peers.aerotact_peer import aligned, code_bytes
+from aerotact.bench.peers.aerotact_peer import aligned
 from aerotact.codegen.build import compile_library
+from aerotact.codegen.footprint import code_and_data
 from aerotact.codegen.project import block_project
 from aerotact.codegen.templating import templates
 from aerotact.dynamics.model import Model
@@ -46,5 +47,5 @@ def _time(block: Block, model: Model) -> dict[str, Any]:
         "p50_us": float(np.median(times)),
         "max_us": float(times.max()),
         "usable": bool((times > 0).all()),
-        "bytes": {"workspace": size, "code": code_bytes(library)},
+        "bytes": {"workspace": size, "code": (code_and_data(library) or (0, 0))[0]},
     }

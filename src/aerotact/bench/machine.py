@@ -2,7 +2,6 @@
 
 import os
 import platform
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from aerotact import __version__
-from aerotact.codegen.build import find_compiler
+from aerotact.codegen.build import compiler_version, find_compiler
 
 
 def describe_machine() -> dict[str, Any]:
@@ -21,7 +20,7 @@ def describe_machine() -> dict[str, Any]:
         "cores": os.cpu_count() or 0,
         "system": f"{platform.system()} {platform.machine()}",
         "load": round(load[0], 1),
-        "compiler": _compiler(),
+        "compiler": compiler_version(find_compiler()),
         "versions": {
             "python": platform.python_version(),
             "numpy": np.__version__,
@@ -43,12 +42,3 @@ def _cpu() -> str:
     vectors = next((label for flag, label in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "")
     family = f"family {fields['cpu family']} model {fields['model']}" if "cpu family" in fields else ""
     return ", ".join(part for part in (name, family, vectors) if part)
-
-
-def _compiler() -> str:
-    command = find_compiler()
-    try:
-        done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return " ".join(command)
-    return done.stdout.splitlines()[0]

@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from aerotact.bench.run import Race
 from aerotact.plots import COLOURS, label, panels, save
 
 PERCENTILES = ("p50", "p99", "max")
+SHOWN = ("aerotact", "acados", "hpipm", "aerotact-osqp", "osqp 1e-3", "casadi qrqp")
 Rows = Sequence[Sequence[str]]
 
 
@@ -141,7 +143,8 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
     if summary["growth"]:
         parts += [
             "## Growth with the horizon",
-            "Median, us; the exponent is that of time over N.",
+            "Median, us; the exponent is that of time over N, by least squares in logarithms. Preparation does the same "
+            "work whatever bounds are active; the whole depends on them, and a longer horizon has others.",
             table(*_growth_rows(summary["growth"])),
         ]
     parts += [
@@ -177,23 +180,42 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
 
 def plot(race: Race, summary: Mapping[str, Any], folder: Path) -> list[Path]:
     """Distribution of times, error over time, growth."""
-    names = [n for n in ("aerotact", "acados", "osqp 1e-3", "osqp 1e-5", "casadi sqpmethod") if n in summary["solvers"]]
+    names = [n for n in SHOWN if n in summary["solvers"]]
     best = race.best_acados
     figure, axes = panels(1, 3 if summary["growth"] else 2, f"{summary['ocp']}: {summary['doc']}", 3.0, 4.4)
+    times, errors = axes[0, :2]
     for colour, name in zip(COLOURS, names, strict=False):
         record = best if name == "acados" and best is not None else race.records[name]
         ordered = np.sort(record.quiet)
-        axes[0, 0].step(ordered, np.arange(1, ordered.size + 1) / ordered.size, color=colour, label=name)
+        times.step(ordered, np.arange(1, ordered.size + 1) / ordered.size, color=colour, label=name)
         if record.error.size:
-            axes[0, 1].loglog(
-                record.quiet, np.maximum(record.error, 1e-16), ".", ms=2.5, color=colour, alpha=0.6, label=name
-            )
-    axes[0, 0].set_xscale("log")
-    label(axes[0, 0], "distribution", "share of samples", "time in us")
-    label(axes[0, 1], "accuracy", "error of u0, share of its range", "time in us")
+            errors.loglog(record.quiet, np.maximum(record.error, 1e-16), ".", ms=2.5, color=colour, alpha=0.6)
+    times.set_xscale("log")
+    times.set_ylim(0.0, 1.03)
+    label(times, "distribution", "share of samples", "time in us")
+    times.legend(loc="lower right")
+    label(errors, "accuracy", "error of u0, share of its range", "time in us")
+    for axis in (times, errors):
+        _plain_ticks(axis.xaxis)
     if summary["growth"]:
-        steps = summary["growth"]["steps"]
-        for colour, (name, s) in zip(COLOURS, summary["growth"]["solvers"].items(), strict=False):
-            axes[0, 2].loglog(steps, s["p50_us"], "o-", color=colour, label=f"{name}, N^{s['exponent'] or 0:.2f}")
-        label(axes[0, 2], "growth", "median in us", "intervals N")
+        growth, steps = axes[0, 2], summary["growth"]["steps"]
+        for number_, (name, s) in enumerate(summary["growth"]["solvers"].items()):
+            style = "o--" if name.endswith("preparation") else "o-"
+            slope = number(s["exponent"], ".2f")
+            growth.loglog(steps, s["p50_us"], style, ms=4, color=COLOURS[number_ // 2], label=f"{name}: N^{slope}")
+        label(growth, "growth", "median in us", "intervals N")
+        growth.legend(loc="upper left")
+        low, high = growth.get_ylim()
+        growth.set_ylim(low, high * (high / low) ** 0.35)  # room for the legend
+        growth.set_xticks(steps, [str(n) for n in steps])
+        growth.xaxis.set_minor_locator(NullLocator())
+        _plain_ticks(growth.yaxis)
     return [save(figure, folder / f"{summary['ocp']}.png")]
+
+
+def _plain_ticks(axis: Any) -> None:
+    """Ticks of a logarithmic axis at 1, 2, 5, 10, 20 ..., written as numbers; at powers of ten if they are many."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < 300 else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

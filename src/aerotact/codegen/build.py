@@ -1,15 +1,20 @@
-"""C project -> shared library, compiled once per content and kept in a cache."""
+"""C project -> shared library and its footprint, compiled once per content and kept in a cache."""
 
+import ctypes
 import hashlib
+import json
 import os
 import platform
 import shlex
 import shutil
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from aerotact.codegen.project import CProject
+from aerotact.codegen.footprint import CALL_GRAPH, Footprint, code_and_data, worst_chain
+from aerotact.codegen.project import MANIFEST, CProject
 from aerotact.exceptions import CodegenError, CompilerNotFound
 
 FLAGS = ("-std=c99", "-O3", "-march=native", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -32,6 +37,15 @@ def find_compiler() -> list[str]:
         if words and shutil.which(words[0]):
             return words
     raise CompilerNotFound(tried)
+
+
+def compiler_version(compiler: list[str]) -> str:
+    """First line that it says of itself; its command line if it says nothing."""
+    try:
+        done = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return " ".join(compiler)
+    return done.stdout.splitlines()[0]
 
 
 def cache_folder() -> Path:
@@ -57,24 +71,69 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS, cache: Pa
     compiler = find_compiler()
     key = hashlib.sha256("\0".join([project.digest, *compiler, *flags, _processor()]).encode()).hexdigest()[:24]
     library = (cache or cache_folder()) / f"{project.name}-{key}.so"
-    if library.is_file():
+    if library.is_file() and _report(library).is_file():
         return library
     _make_folder(library.parent)
     with tempfile.TemporaryDirectory(prefix="aerotact-") as scratch:
         root = Path(scratch)
         project.write(root / "project")
         built = root / library.name
-        objects = [Path(p).with_suffix(".o").name for p in project.third_party]
-        if objects:
-            quiet = [f for f in flags if not f.startswith("-W") and f != "-pedantic"]
-            _compile(project, root, [*compiler, *quiet, "-w", "-fPIC", "-c", *project.third_party])
-        own = [*compiler, *flags, "-fPIC", "-shared", "-Iinclude", "-Isrc", *project.sources, *objects]
-        _compile(project, root, [*own, "-lm", "-o", str(built)])
+        found = _build(project, root, compiler, flags, built)
         # A rename within the cache is atomic, so that two processes may build the same library.
-        partial = library.with_suffix(f".{os.getpid()}.part")
-        shutil.copy2(built, partial)
-        partial.replace(library)
+        for target, content in ((_report(library), found.encode()), (library, built.read_bytes())):
+            partial = target.with_name(f"{target.name}.{os.getpid()}.part")
+            partial.write_bytes(content)
+            partial.replace(target)
     return library
+
+
+def measured(project: CProject, cache: Path | None = None) -> CProject:
+    """The project with its footprint, as compiled here with FLAGS, in manifest.json.
+
+    Raises:
+        CompilerNotFound, CodegenError: as compile_library.
+    """
+    library = compile_library(project, cache=cache)
+    found = Footprint(**json.loads(_report(library).read_text()))
+    size = getattr(ctypes.CDLL(str(library)), f"{project.name}_workspace_size", None)
+    if size is not None:
+        size.restype = ctypes.c_size_t
+        found = replace(found, workspace_bytes=int(size()))
+    content = {**project.manifest, "footprint": asdict(found)}
+    text = json.dumps(content, indent=2, sort_keys=True) + "\n"
+    return replace(project, files={**project.files, MANIFEST: text})
+
+
+def _build(project: CProject, root: Path, compiler: list[str], flags: tuple[str, ...], built: Path) -> str:
+    """Compile every file, all processors at work, and link; gives the footprint as JSON."""
+    version = compiler_version(compiler)
+    graph = [CALL_GRAPH] if _has_call_graph(compiler, root) else []
+    quiet = [*(f for f in flags if not f.startswith("-W") and f != "-pedantic"), "-w"]
+    jobs = [
+        *([*compiler, *flags, *graph, "-fPIC", "-Iinclude", "-Isrc", "-c", p] for p in project.sources),
+        *([*compiler, *quiet, *graph, "-fPIC", "-c", p] for p in project.third_party),
+    ]
+    jobs.sort(key=lambda job: len(project.files[job[-1]]), reverse=True)  # the longest first
+    objects = [f"{number}.o" for number in range(len(jobs))]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(lambda job, o: _compile(project, root, [*job, "-o", o]), jobs, objects))
+    _compile(project, root, [*compiler, *flags, "-shared", *objects, "-lm", "-o", str(built)])
+    made = [root / "project" / o for o in objects]
+    code, data = code_and_data(*made) or (None, None)
+    graphs = [o.with_suffix(".ci").read_text() for o in made] if graph else []
+    words = " ".join([version, *flags[:4]])
+    return json.dumps(asdict(Footprint(code, data, None, worst_chain(graphs), words, platform.machine())))
+
+
+def _has_call_graph(compiler: list[str], root: Path) -> bool:
+    (root / "empty.c").write_text("")
+    command = [*compiler, CALL_GRAPH, "-c", "empty.c", "-o", "empty.o"]
+    return subprocess.run(command, cwd=root, capture_output=True, check=False).returncode == 0
+
+
+def _report(library: Path) -> Path:
+    """Where a library's footprint is kept."""
+    return library.with_suffix(".json")
 
 
 def _compile(project: CProject, root: Path, command: list[str]) -> None:

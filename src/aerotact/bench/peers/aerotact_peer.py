@@ -1,6 +1,5 @@
 """The generated solver: its C library, timed inside C by the monotonic clock."""
 
-import subprocess
 import tempfile
 import time
 from dataclasses import replace
@@ -16,6 +15,7 @@ from aerotact.bench.problems import Problem
 from aerotact.bench.qp import Solution
 from aerotact.bench.scenario import Sample
 from aerotact.codegen.build import FLAGS, compile_library, find_compiler
+from aerotact.codegen.footprint import code_and_data
 from aerotact.codegen.project import CProject
 from aerotact.codegen.rti_project import rti_project
 from aerotact.codegen.templating import templates
@@ -60,7 +60,7 @@ class AerotactPeer:
         self._lib: Any = self._ffi.dlopen(str(self._library))
         self._init, self._run = (getattr(self._lib, f"{project.name}_timed_{f}") for f in ("init", "run"))
         size = int(getattr(self._lib, f"{project.name}_timed_size")())
-        self.sizes = {"workspace": size, "code": code_bytes(self._library)}
+        self.sizes = {"workspace": size, "code": (code_and_data(self._library) or (0, 0))[0]}
         N, n, m, rows = t.steps, self._s.ndx, self._s.nu, len(self._s.bounds.states)
         self._rti = aligned(size)
         self._dx, self._du, self._y = np.zeros((N + 1, n)), np.zeros((N, m)), np.zeros((N + 1, m + rows))
@@ -102,15 +102,6 @@ def timed_project(problem: Problem, backend: str = "aerotact") -> CProject:
     source = f"src/{name}_timed.c"
     text = templates().get_template("timed_rti.c.jinja").render(context)
     return replace(project, files={**project.files, source: text}, sources=(*project.sources, source))
-
-
-def code_bytes(library: Path) -> int:
-    """Bytes of code and constants of a compiled library, as `size` counts them; 0 where there is no such program."""
-    try:
-        listed = subprocess.run(["size", str(library)], check=True, capture_output=True, text=True).stdout
-    except (OSError, subprocess.CalledProcessError):
-        return 0
-    return int(listed.splitlines()[1].split()[0])
 
 
 def aligned(size: int) -> Array:
