@@ -43,7 +43,7 @@ def _check(folder: Path, shape: Shape, problems: list[Problem], *, shift: bool =
 def test_warm_equals_cold(tmp_path: Path, mixed: Shape) -> None:
     rng = np.random.default_rng(0)
     problems = list(_drift(rng, random_problem(rng, mixed, "plain")))
-    assert _check(tmp_path, mixed, problems) < LENGTH
+    assert _check(tmp_path, mixed, problems) <= LENGTH // 8
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -161,7 +161,8 @@ def _order(A: list[list[int]], B: list[list[int]], bounded: Iterable[int]) -> _O
     trivial = [i for i, _ in integrators] + constants
     dense = [i for i in range(len(A)) if i not in trivial]
     limited = set(bounded)
-    dense.sort(key=lambda i: (-sum(1 for r in dense if A[r][i]), i not in limited, i))
+    full = {i: sum(1 for r in dense if A[r][i]) for i in dense}
+    dense.sort(key=lambda i: (-full[i], i not in limited, i))
     free = [j for j in range(len(B[0])) if j not in used]
     return _Order([j for _, j in integrators] + free, trivial + dense, len(trivial), integrators)
 
