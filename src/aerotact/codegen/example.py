@@ -108,7 +108,10 @@ def make_example(
     wanted = {"p_WE_d": "p_WE", "q_WE_d": "q_WE", "p_WB_r": "p_WB", "q_WB_r": "q_WB"}
     constants = {p.name: at_hover[wanted[p.name]] for p in reference if p.name in wanted}
     estimate = next((n for n in _JUDGED if n in output), "")
-    goal = np.zeros(3) if not limited and _JUDGED.get(estimate) == "N" else at_hover.get(estimate, at_hover[judged])
+    if limited:
+        goal = at_hover[judged]
+    else:
+        goal = np.zeros(3) if _JUDGED.get(estimate) == "N" else at_hover.get(estimate, at_hover[judged])
     start = x0 + np.concatenate([OFFSET if limited else np.zeros(3), np.zeros(x0.size - 3)])
     header = "\n".join(
         [
