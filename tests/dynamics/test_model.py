@@ -171,6 +171,7 @@ def test_missing_capability_names_robot_and_lack(hexarotor: Model) -> None:
 
 def test_capabilities(model: Model, tilting: Model) -> None:
     expected = {"six_axis_wrench", "tool", "tilt" if model.tilts else "fixed_rotors"}
+    expected |= {"force_torque"} if model.robot.force_torque else set()
     assert model.capabilities == expected
     # At hover the groups of this robot push upwards only: what makes the wrench six-dimensional is that they tilt.
     fixed = replace(tilting.robot, rotors=tuple(replace(r, tilt=None) for r in tilting.robot.rotors))

@@ -77,7 +77,9 @@ class Inspected(Controller):
         size = ffi.new("size_t *")
         for i, (field, shape) in enumerate(shapes.items()):
             address = getattr(library, f"{name}_field")(workspace, i, size)
-            self.fields[field.removeprefix("qp_data.")] = np.frombuffer(ffi.buffer(address, size[0])).reshape(shape)
+            self.fields[field.removeprefix("qp_data.")] = np.frombuffer(ffi.buffer(address, size[0]))[
+                : int(np.prod(shape))
+            ].reshape(shape)
         self._ocp = ocp
 
     @property

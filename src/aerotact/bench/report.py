@@ -143,8 +143,8 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
     if summary["growth"]:
         parts += [
             "## Growth with the horizon",
-            "Median, us; the exponent is that of time over N, by least squares in logarithms. Preparation does the same "
-            "work whatever bounds are active; the whole depends on them, and a longer horizon has others.",
+            "Median, us; the exponent is that of time over N, by least squares in logarithms. Preparation does the "
+            "same work whatever bounds are active; the whole depends on them, and a longer horizon has others.",
             table(*_growth_rows(summary["growth"])),
         ]
     parts += [
