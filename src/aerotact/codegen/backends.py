@@ -27,7 +27,7 @@ class Backend:
 
 
 def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
-    """Warm-started active set with an interior-point fallback on a structured Riccati recursion."""
+    """Warm-started active set, splitting and interior point on one structured Riccati recursion."""
     environment = templates()
     context = template_context(prefix, pattern)
     return {

@@ -101,7 +101,6 @@ def template_context(prefix: str, pattern: QpPattern) -> dict[str, Any]:
         "direct": pattern.direct,
         "hess": hessian,
         "hess_q": [entry for entry in hessian if entry[2] == "Q"],
-        "diagonal": all(entry[0] == entry[1] for entry in hessian),
         "blocks_w": [{"i": i, "m": min(_BLOCK, nx - i)} for i in range(0, nx, _BLOCK)],
         "blocks_u": _blocks(filled, 0, nu),
         "blocks_x": _blocks(filled, nu, nu + nx),
