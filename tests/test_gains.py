@@ -22,20 +22,13 @@ def _with_gains(model: Model, **gains: Quantity) -> Model:
 def test_every_block_has_the_name_it_is_found_by(hexarotor: Model, tilting: Model) -> None:
     found = {**laws(), **estimators()}
     assert {"ryll2019_admittance", "ryll2019_pose_control", "wrench_observer", "state_estimator"} <= set(found)
-<<<<<<< HEAD
-    for name, build in found.items():
-=======
     built = 0
     for (name, build), model in product(found.items(), (hexarotor, tilting)):
->>>>>>> tilt
         try:
             block = build(model, 500.0)
         except MissingCapability:
             continue
-<<<<<<< HEAD
-=======
         built += 1
->>>>>>> tilt
         assert block.name == name
         assert block.rate == 500.0
         for layout in (block.state, block.measurement, block.reference, block.parameters, block.output):
