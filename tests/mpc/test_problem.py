@@ -27,12 +27,16 @@ FAULTS = {
     ),
     "unknown constraint": (
         "[constraints]\n",
-        '[constraints]\ntilt = "hard"\n',
-        r"constraints: unknown 'tilt'; valid: th",
+        '[constraints]\nroll = "hard"\n',
+        r"constraints: unknown 'roll'; valid: th",
     ),
     "soft constraint": ('thrust = "hard"', 'thrust = "soft"', r"constraints\.thrust: .*'hard' \(got 'soft'\)"),
     "unknown fallback": ('"ryll2019_admittance" ', '"pid" ', r"problem\.fallback: unknown 'pid'; valid: ryll2019_adm"),
-    "unknown need": ('"tool"]', '"wings"]', r"problem\.needs: unknown \['wings'\]; valid: six_axis_wrench, tool"),
+    "unknown need": (
+        '"tool"]',
+        '"wings"]',
+        r"problem\.needs: unknown \['wings'\]; valid: fixed_rotors, six_axis_wrench, tilt, tool",
+    ),
     "unknown key": (
         "max_failures = 5",
         "max_faults = 5",
