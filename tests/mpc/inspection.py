@@ -77,9 +77,9 @@ class Inspected(Controller):
         size = ffi.new("size_t *")
         for i, (field, shape) in enumerate(shapes.items()):
             address = getattr(library, f"{name}_field")(workspace, i, size)
-            self.fields[field.removeprefix("qp_data.")] = np.frombuffer(ffi.buffer(address, size[0]))[
-                : int(np.prod(shape))
-            ].reshape(shape)
+            values = np.frombuffer(ffi.buffer(address, size[0]))
+            own = values[:0] if 0 in shape else values  # an array of nothing has one number in C
+            self.fields[field.removeprefix("qp_data.")] = own.reshape(shape)
         self._ocp = ocp
 
     @property

@@ -1,5 +1,6 @@
 """Blocks: time of one step of every law and estimator, compiled as for the robot's computer."""
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from aerotact.codegen.project import block_project
 from aerotact.codegen.templating import templates
 from aerotact.dynamics.model import Model
 from aerotact.estimation import estimators
+from aerotact.exceptions import MissingCapability
 from aerotact.laws import laws
 from aerotact.ports import Block
 
@@ -20,9 +22,12 @@ STEPS, BATCHES, RATE = 200, 25, 500.0
 
 
 def time_blocks(model: Model) -> dict[str, dict[str, Any]]:
-    """Block -> microseconds a step (median and largest mean of batches), bytes of workspace and code."""
-    builders = {**laws(), **estimators()}
-    return {name: _time(build(model, RATE), model) for name, build in builders.items()}
+    """Block that fits -> microseconds a step (median and largest mean of batches), bytes of workspace and code."""
+    blocks = []
+    for build in {**laws(), **estimators()}.values():
+        with suppress(MissingCapability):
+            blocks.append(build(model, RATE))
+    return {block.name: _time(block, model) for block in blocks}
 
 
 def _time(block: Block, model: Model) -> dict[str, Any]:

@@ -17,7 +17,7 @@ SECONDS = 4.0
 SUBSTEPS = 4
 OFFSET = np.array([0.05, 0.0, 0.0])
 AHEAD = 1.0  # m, from the tool to a plate
-_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N", "f_push_B": "N", "n_W": "1"}
+_JUDGED = {"p_WB": "m", "p_WE_r": "m", "f_ext_W": "N", "f_push_B": "N", "f_dist_W": "N", "n_W": "1"}
 
 
 @dataclass(frozen=True)
