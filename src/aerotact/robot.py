@@ -9,33 +9,27 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from aerotact.arms import (
+    Arm,
+    ArmEntry,
+    EncoderEntry,
+    PassiveEntry,
+    PassiveJoint,
+    ServoEntry,
+    load_arms,
+    load_passive,
+)
 from aerotact.exceptions import RobotError
+from aerotact.parts import Quantity, Strict, part_id
 from aerotact.ports import Array
 from aerotact.resources import find_robot
 
 HOVER_KEYFRAME = "hover"
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Quantity(_Strict):
-    """A number or a list of numbers with its unit and where it comes from."""
-
-    value: float | list[float]
-    unit: str
-    source: str = Field(min_length=1)
-
-    @property
-    def array(self) -> Array:
-        """The value as an array of shape () or (n,)."""
-        return np.asarray(self.value, dtype=float)
-
-
-class RobotNames(_Strict):
+class RobotNames(Strict):
     """Names of the parts in plant.xml."""
 
     base: str
@@ -43,14 +37,14 @@ class RobotNames(_Strict):
     imu: str = "imu"
 
 
-class RotorEntry(_Strict):
+class RotorEntry(Strict):
     """One rotor: its actuator in plant.xml and its limits."""
 
     actuator: str
     thrust_rate: Quantity
 
 
-class ImuEntry(_Strict):
+class ImuEntry(Strict):
     """Inertial measurement unit: rate in Hz, standard deviations a sample, standard deviations of the constant bias."""
 
     rate: float = Field(gt=0)
@@ -60,7 +54,7 @@ class ImuEntry(_Strict):
     gyro_bias: Quantity
 
 
-class MotionCaptureEntry(_Strict):
+class MotionCaptureEntry(Strict):
     """Motion capture: rate in Hz, standard deviations a sample."""
 
     rate: float = Field(gt=0)
@@ -68,25 +62,30 @@ class MotionCaptureEntry(_Strict):
     attitude_noise: Quantity
 
 
-class RotorSpeedEntry(_Strict):
+class RotorSpeedEntry(Strict):
     """Measured rotor speeds, given as thrust: standard deviation a sample."""
 
     thrust_noise: Quantity
 
 
-class SensorEntries(_Strict):
+class SensorEntries(Strict):
     """The sensors that the robot carries."""
 
     imu: ImuEntry
     motion_capture: MotionCaptureEntry
     rotor_speed: RotorSpeedEntry
+    servo: ServoEntry | None = None
+    deflection: EncoderEntry | None = None
+    passive: EncoderEntry | None = None
 
 
-class RobotFile(_Strict):
+class RobotFile(Strict):
     """The schema of robot.toml."""
 
     robot: RobotNames
     rotors: list[RotorEntry] = Field(min_length=1)
+    arms: list[ArmEntry] = Field(default_factory=list)
+    passive: PassiveEntry | None = None
     sensors: SensorEntries
     gains: dict[str, dict[str, Quantity]] = Field(default_factory=dict)
 
@@ -132,6 +131,8 @@ class Robot:
         p_BI: IMU position in B, m.
         gravity: magnitude along -z of W, m/s2.
         hover_thrust: thrusts of the hover keyframe, N, shape (n,).
+        arms: in the order of robot.toml.
+        passive: joints that nothing drives, in the order of robot.toml.
     """
 
     folder: Path
@@ -148,6 +149,8 @@ class Robot:
     p_BI: Array
     gravity: float
     hover_thrust: Array
+    arms: tuple[Arm, ...] = ()
+    passive: tuple[PassiveJoint, ...] = ()
 
     @property
     def name(self) -> str:
@@ -203,21 +206,6 @@ def _compile(path: Path) -> Any:
     return model
 
 
-def _id(model: Any, kind: Any, name: str, part: str, folder: Path) -> int:
-    index = mujoco.mj_name2id(model, kind, name)
-    if index < 0:
-        label = kind.name.removeprefix("mjOBJ_").lower()
-        count = {"body": model.nbody, "site": model.nsite, "actuator": model.nu, "key": model.nkey}[label]
-        names = [mujoco.mj_id2name(model, kind, i) or f"(unnamed {i})" for i in range(count)]
-        raise RobotError(
-            folder / "robot.toml",
-            part,
-            f"plant.xml has no {label} '{name}'",
-            f"name one of: {', '.join(names) or f'none, so add a {label}'}",
-        )
-    return int(index)
-
-
 def _lumped_inertia(model: Any, data: Any, base: int, folder: Path) -> tuple[float, Array, Array]:
     """Mass, centre of mass in B and inertia about it in B's axes of the base's subtree at the model's zero pose."""
     bodies = [b for b in range(model.nbody) if model.body_rootid[b] == model.body_rootid[base] and b != 0]
@@ -237,7 +225,7 @@ def _lumped_inertia(model: Any, data: Any, base: int, folder: Path) -> tuple[flo
 def _rotor(entry: RotorEntry, number: int, model: Any, data: Any, base: int, folder: Path) -> Rotor:
     part = f"rotors[{number}]"
     plant = folder / "plant.xml"
-    index = _id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, entry.actuator, f"{part}.actuator", folder)
+    index = part_id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, entry.actuator, f"{part}.actuator", folder)
     if model.actuator_trntype[index] != mujoco.mjtTrn.mjTRN_SITE:
         raise RobotError(plant, f"actuator '{entry.actuator}'", "has no site", 'give it site="..." as transmission')
     gear = model.actuator_gear[index]
@@ -296,7 +284,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
     model = _compile(folder / "plant.xml")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    base = _id(model, mujoco.mjtObj.mjOBJ_BODY, file.robot.base, "robot.base", folder)
+    base = part_id(model, mujoco.mjtObj.mjOBJ_BODY, file.robot.base, "robot.base", folder)
     joint = model.body_jntadr[base]
     if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
         raise RobotError(folder / "plant.xml", f"body '{file.robot.base}'", "has no free joint", "add <freejoint/>")
@@ -304,11 +292,11 @@ def load_robot(name_or_path: str | Path) -> Robot:
     R_WB, p_WB = data.xmat[base].reshape(3, 3), data.xpos[base]
     p_BE, R_BE = np.zeros(3), np.eye(3)
     if file.robot.tool is not None:
-        site = _id(model, mujoco.mjtObj.mjOBJ_SITE, file.robot.tool, "robot.tool", folder)
+        site = part_id(model, mujoco.mjtObj.mjOBJ_SITE, file.robot.tool, "robot.tool", folder)
         p_BE = R_WB.T @ (data.site_xpos[site] - p_WB)
         R_BE = R_WB.T @ data.site_xmat[site].reshape(3, 3)
-    imu = _id(model, mujoco.mjtObj.mjOBJ_SITE, file.robot.imu, "robot.imu", folder)
-    key = _id(model, mujoco.mjtObj.mjOBJ_KEY, HOVER_KEYFRAME, "hover keyframe", folder)
+    imu = part_id(model, mujoco.mjtObj.mjOBJ_SITE, file.robot.imu, "robot.imu", folder)
+    key = part_id(model, mujoco.mjtObj.mjOBJ_KEY, HOVER_KEYFRAME, "hover keyframe", folder)
     rotors = tuple(_rotor(entry, i, model, data, base, folder) for i, entry in enumerate(file.rotors))
     indices = [rotor.index for rotor in rotors]
     for number, rotor in enumerate(rotors):
@@ -334,4 +322,6 @@ def load_robot(name_or_path: str | Path) -> Robot:
         p_BI=R_WB.T @ (data.site_xpos[imu] - p_WB),
         gravity=float(-model.opt.gravity[2]),
         hover_thrust=model.key_ctrl[key][indices].copy(),
+        arms=load_arms(file.arms, model, key, folder),
+        passive=load_passive(file.passive, model, folder),
     )
