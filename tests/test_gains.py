@@ -9,7 +9,7 @@ from aerotact.dynamics.model import Model
 from aerotact.estimation import estimators
 from aerotact.exceptions import RobotError
 from aerotact.laws import laws
-from aerotact.robot import Quantity
+from aerotact.robot_file import Quantity
 
 
 def _with_gains(model: Model, **gains: Quantity) -> Model:

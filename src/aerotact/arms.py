@@ -11,43 +11,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from pydantic import Field
 
 from aerotact.exceptions import RobotError
-from aerotact.parts import Quantity, Strict, part_id
+from aerotact.plant_file import find_id, joints_between
+from aerotact.robot_file import ArmEntry, PassiveEntry
 
 _OBJ = mujoco.mjtObj
-
-
-class ArmEntry(Strict):
-    """An arm: its tool's site and its joints from the shoulder on; `servo_rate`: fastest servo rates, one a joint."""
-
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    tool: str
-    joints: list[str] = Field(min_length=1)
-    servo_rate: Quantity
-
-
-class PassiveEntry(Strict):
-    """Hinges that nothing drives, the nearest to the base first."""
-
-    joints: list[str] = Field(min_length=1)
-
-
-class EncoderEntry(Strict):
-    """Encoders on some joints: rate in Hz, standard deviations a sample and of the constant bias."""
-
-    joints: list[str] = Field(min_length=1)
-    rate: float = Field(gt=0)
-    noise: Quantity
-    bias: Quantity
-
-
-class ServoEntry(Strict):
-    """Servo angles as the servos report them: rate in Hz, step of the reported angle."""
-
-    rate: float = Field(gt=0)
-    resolution: Quantity
 
 
 @dataclass(frozen=True)
@@ -132,7 +101,7 @@ def load_arms(entries: Sequence[ArmEntry], model: Any, key: int, folder: Path) -
         part = f"arms[{number}]"
         if entry.name in [arm.name for arm in arms]:
             raise RobotError(folder / "robot.toml", f"{part}.name", f"'{entry.name}' stands twice", "name arms apart")
-        tool = part_id(model, _OBJ.mjOBJ_SITE, entry.tool, f"{part}.tool", folder)
+        tool = find_id(model, _OBJ.mjOBJ_SITE, entry.tool, f"{part}.tool", folder)
         rates = entry.servo_rate
         if rates.unit != "rad/s" or rates.array.shape != (len(entry.joints),) or not (rates.array > 0).all():
             raise RobotError(
@@ -145,7 +114,7 @@ def load_arms(entries: Sequence[ArmEntry], model: Any, key: int, folder: Path) -
         for place, (name, rate) in enumerate(zip(entry.joints, rates.array, strict=True)):
             index = _hinge(model, name, f"{part}.joints[{place}]", folder, taken)
             joints.append(_compliant_joint(model, index, name, float(rate), key, folder))
-        if not _carries(model, joints[-1].index, int(model.site_bodyid[tool])):
+        if joints[-1].index not in joints_between(model, int(model.site_bodyid[tool]), 0):
             raise RobotError(
                 folder / "robot.toml",
                 f"{part}.tool",
@@ -174,7 +143,7 @@ def load_passive(entry: PassiveEntry | None, model: Any, folder: Path) -> tuple[
 
 
 def _hinge(model: Any, name: str, part: str, folder: Path, taken: set[str]) -> int:
-    index = part_id(model, _OBJ.mjOBJ_JOINT, name, part, folder)
+    index = find_id(model, _OBJ.mjOBJ_JOINT, name, part, folder)
     if model.jnt_type[index] != mujoco.mjtJoint.mjJNT_HINGE:
         raise RobotError(folder / "plant.xml", f"joint '{name}'", "is no hinge", 'use type="hinge"')
     if name in taken:
@@ -187,13 +156,6 @@ def _drivers(model: Any, joint: int) -> list[int]:
     """Ids of the actuators on a joint."""
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return [int(i) for i in np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint))]
-
-
-def _carries(model: Any, joint: int, body: int) -> bool:
-    """Whether a body moves with a joint."""
-    while body > 0 and body != model.jnt_bodyid[joint]:
-        body = int(model.body_parentid[body])
-    return body > 0
 
 
 def _compliant_joint(model: Any, joint: int, name: str, rate: float, key: int, folder: Path) -> CompliantJoint:

@@ -8,18 +8,21 @@ import mujoco
 import numpy as np
 
 from aerotact.dynamics.model import Model
-from aerotact.dynamics.rotors import allocation, allocation_rank
+from aerotact.dynamics.rotors import allocation, wrench_jacobian, wrench_rank
 from aerotact.estimation import estimators
 from aerotact.exceptions import AerotactError, RobotError
 from aerotact.laws import laws
 from aerotact.mpc.ocp import load_ocp
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
+from aerotact.plant_file import lumped, subtree
 from aerotact.ports import Array
 from aerotact.resources import problem_files
 from aerotact.robot import HOVER_KEYFRAME, Robot, load_robot
 
 AGREEMENT = 1e-9  # m/s2 and rad/s2, between CasADi and MuJoCo
+LUMPED = 0.02  # share of the inertia by which tilting may change it
+SHIFT = 1e-3  # m, by which it may move the centre of mass
 TRIM = 1e-9  # m/s2, rad/s2 and N/s at the hover keyframe
 STATES = 200  # random states and commands
 PHYSICS_RATE = 1000.0  # Hz
@@ -87,18 +90,18 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
         f"{plant_xml}: keyframe '{HOVER_KEYFRAME}': make the pose level, at rest, and set ctrl and act to "
         f'"{_trim_thrust(robot)}"',
     )
-    rank = allocation_rank(robot)
+    rank = wrench_rank(robot)
     yield _item(
         "allocation has rank 6",
         rank == 6,
-        f"rank {rank}, condition {np.linalg.cond(allocation(robot)):.1f}",
+        f"rank {rank}, condition {np.linalg.cond(wrench_jacobian(robot)):.1f}",
         f"{plant_xml}: rotor sites: tilt them so that force and torque are independent",
     )
     missing = _unlisted(robot)
     yield _item(
         "every actuator is listed",
         not missing,
-        f"{len(robot.rotors)} of {robot.mjmodel.nu}",
+        f"{robot.mjmodel.nu - len(missing)} of {robot.mjmodel.nu}",
         f"{robot_toml}: rotors: add {', '.join(missing)}",
     )
     error = _disagreement(robot, np.random.default_rng(seed))
@@ -108,6 +111,15 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
         f"largest difference {error:.1e} over {STATES} random states and commands",
         f"{plant_xml}: leave out what the model has not: joints beside the free one, fluid, springs, damping",
     )
+    if robot.tilts:
+        inertia, centre = _lump_changes(robot, np.random.default_rng(seed))
+        yield _item(
+            "tilting groups are light and balanced",
+            inertia <= LUMPED and centre <= SHIFT,
+            f"they change the inertia by {1e2 * inertia:.2g} % and move the centre of mass by {1e3 * centre:.2g} mm",
+            f"{plant_xml}: put the centre of mass of each group on its hinge, and its mass near it; the model lumps "
+            "all bodies as they stand in hover",
+        )
     yield _limits(robot, robot_toml, plant_xml)
     try:
         Sensors(Plant(robot), robot, seed)
@@ -149,6 +161,21 @@ def _limits(robot: Robot, robot_toml: Path, plant_xml: Path) -> Item:
                 f"{robot_toml}: rotors[{number}].thrust_rate: {rate:g} N/s is far beyond what a lag of "
                 f"{rotor.time_constant:g} s allows, {reach:g} N/s; check its unit",
             )
+    for tilt, hover in zip(robot.tilts, robot.hover_tilt, strict=True):
+        part = f"{plant_xml}: actuator '{tilt.actuator}'"
+        if not tilt.angle[0] < hover < tilt.angle[1]:
+            lower, upper = tilt.angle
+            return Item(
+                name, False, f"{part}: hover needs {hover:.3g} rad, ctrlrange is {lower:g} to {upper:g}; widen it"
+            )
+        rate, reach = max(np.abs(tilt.rate)), (tilt.angle[1] - tilt.angle[0]) / tilt.time_constant
+        if rate > RATE_EXCESS * reach:
+            return Item(
+                name,
+                False,
+                f"{robot_toml}: tilt_rate of '{tilt.joint}': {rate:g} rad/s is far beyond what a lag of "
+                f"{tilt.time_constant:g} s allows, {reach:g} rad/s; check its unit",
+            )
     margin = min(min(h - r.thrust[0], r.thrust[1] - h) for h, r in zip(robot.hover_thrust, robot.rotors, strict=True))
     return Item(name, True, f"smallest margin of thrust at hover {margin:.3g} N")
 
@@ -172,19 +199,26 @@ def _trim_thrust(robot: Robot) -> str:
 
 
 def _unlisted(robot: Robot) -> list[str]:
-    listed = {r.index for r in robot.rotors}
+    listed = {r.index for r in robot.rotors} | {t.index for t in robot.tilts}
     return [robot.mjmodel.actuator(i).name or f"actuator {i}" for i in range(robot.mjmodel.nu) if i not in listed]
 
 
 def _disagreement(robot: Robot, rng: np.random.Generator) -> float:
-    """Largest difference of accelerations and of rates of thrust over random states and commands."""
+    """Largest difference of accelerations and of the actuators' rates over random states and commands.
+
+    The model holds that a servo turns its rotor without a reaction on the body, and lumps the mass of all bodies as
+    they stand in hover. So MuJoCo's hinges are held at rest, and its rotors push from their tilted places on the lump.
+    """
     model, mj = Model(robot), robot.mjmodel
-    data, f = _at(robot), Model(robot).function
+    data, tilted, f = _at(robot), _at(robot), model.function
     base = mj.body_jntadr[robot.base_id]
     q, v = mj.jnt_qposadr[base], mj.jnt_dofadr[base]
-    actuators = [r.index for r in robot.rotors]
+    hinges = [mj.joint(t.joint).id for t in robot.tilts]
+    free = np.setdiff1d(np.arange(mj.nv), mj.jnt_dofadr[hinges])
+    actuators = [*(t.index for t in robot.tilts), *(r.index for r in robot.rotors)]
     activations = mj.actuator_actadr[actuators]
-    lower, upper = model.thrust_limits
+    actual = {"tilt": model.tilt_limits, "thrust": model.thrust_limits}
+    lower, upper = (np.concatenate(side) for side in zip(*actual.values(), strict=True))
     worst = 0.0
     for _ in range(STATES):
         attitude = rng.normal(size=4)
@@ -194,20 +228,47 @@ def _disagreement(robot: Robot, rng: np.random.Generator) -> float:
                 "q_WB": attitude / np.linalg.norm(attitude),
                 "v_WB": rng.normal(size=3),
                 "w_B": 2 * rng.normal(size=3),
-                "thrust": rng.uniform(lower, upper),
+                **{port.name: rng.uniform(*actual[port.name]) for port in model.actuators},
             }
         )
         command = rng.uniform(lower, upper)
         push, turn = rng.normal(size=3), rng.normal(size=3)
-        data.qpos[q : q + 7], data.qvel[v : v + 6] = x[:7], x[7:13]
-        data.act[activations], data.ctrl[actuators] = x[13:], command
+        for d in (data, tilted):
+            d.qpos[q : q + 7], d.qvel[v : v + 6] = x[:7], x[7:13]
+            d.act[activations], d.ctrl[actuators] = x[13:], command
         data.xfrc_applied[robot.base_id] = _wrench_at_base(robot, x[3:7], push, turn)
+        tilted.qpos[mj.jnt_qposadr[hinges]] = x[13 : 13 + model.tilts]
         mujoco.mj_forward(mj, data)
-        rate = (command - x[13:]) / model.time_constants
+        mujoco.mj_forward(mj, tilted)
+        force = data.qfrc_smooth + data.qfrc_constraint + tilted.qfrc_actuator - data.qfrc_actuator
+        M = np.zeros((mj.nv, mj.nv))
+        mujoco.mj_fullM(mj, data, M)
+        acceleration = np.zeros(mj.nv)
+        acceleration[free] = np.linalg.solve(M[np.ix_(free, free)], force[free])
+        rate = (command - x[13:]) / model.actuator_time_constants
         found: Array = f(x, rate, np.concatenate([push, turn])).full().ravel()
-        difference = [found[7:13] - data.qacc[v : v + 6], found[13:] - data.act_dot[activations]]
+        difference = [found[7:13] - acceleration[v : v + 6], found[13:] - data.act_dot[activations]]
         worst = max(worst, float(np.abs(np.concatenate(difference)).max()))
     return worst
+
+
+def _lump_changes(robot: Robot, rng: np.random.Generator) -> tuple[float, float]:
+    """Largest change of the inertia, as a share of its smallest principal value, and of the centre of mass, m, that
+    random tilt angles make."""
+    mj, data = robot.mjmodel, _at(robot)
+    angles = mj.jnt_qposadr[[mj.joint(t.joint).id for t in robot.tilts]]
+    lower, upper = np.array([t.angle for t in robot.tilts]).T
+    bodies = subtree(mj, robot.base_id)
+    inertia = centre = 0.0
+    for _ in range(STATES):
+        data.qpos[angles] = rng.uniform(lower, upper)
+        mujoco.mj_kinematics(mj, data)
+        R_WB, p_WB = data.xmat[robot.base_id].reshape(3, 3), data.xpos[robot.base_id]
+        _, p_WC, J_W = lumped(mj, data, bodies)
+        change = np.linalg.norm(R_WB.T @ J_W @ R_WB - robot.J_C, 2) / np.linalg.eigvalsh(robot.J_C)[0]
+        inertia = max(inertia, float(change))
+        centre = max(centre, float(np.linalg.norm(R_WB.T @ (p_WC - p_WB) - robot.p_BC)))
+    return inertia, centre
 
 
 def _wrench_at_base(robot: Robot, q_WB: Array, f_W: Array, tau_B: Array) -> Array:

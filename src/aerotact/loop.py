@@ -15,7 +15,7 @@ from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
 from aerotact.ports import Array, Port
 
-COMMAND = "thrust_cmd"
+COMMANDS = ("thrust_cmd", "tilt_cmd")
 STATE_SIGNALS = ("p_WB", "q_WB", "v_WB", "w_B")
 _TRUTH = {
     "p_WB": ("m", "W"),
@@ -24,6 +24,9 @@ _TRUTH = {
     "w_B": ("rad/s", "B"),
     "thrust": ("N", ""),
     "thrust_rate": ("N/s", ""),
+    "tilt": ("rad", ""),
+    "tilt_rate": ("rad/s", ""),
+    "tilt_rate_cmd": ("rad/s", ""),
     "p_WE": ("m", "W"),
     "q_WE": ("1", "W"),
     "v_WE": ("m/s", "W"),
@@ -72,6 +75,12 @@ class Loop:
         self.estimators = list(estimators)
         self._imu_every = self._every(sensors.imu_rate, "the IMU")
         self._mocap_every = self._every(sensors.mocap_rate, "motion capture")
+        self._force_every = self._every(sensors.force_torque_rate or sensors.imu_rate, "the force/torque sensor")
+        if self._force_every % self._imu_every:
+            raise LoopError(
+                f"the force/torque sensor runs at {sensors.force_torque_rate:g} Hz; "
+                f"valid: {sensors.imu_rate:g} Hz, the IMU's, divided by a whole number"
+            )
         self._control_every = self._every(controller.rate, controller.name)
         for estimator in self.estimators:
             if self._every(estimator.rate, estimator.name) != self._imu_every:
@@ -82,6 +91,8 @@ class Loop:
             **sensors.imu(),
             **sensors.motion_capture(),
             **sensors.rotor_speed(),
+            **sensors.tilt_encoder(),
+            **sensors.force_torque(),
             "mocap_fresh": np.zeros(1),
         }
         for block in (*self.estimators, controller):
@@ -91,9 +102,11 @@ class Loop:
                     f"nothing serves {', '.join(missing)} of {block.name}; there is: {', '.join(self._bus)}"
                 )
             self._bus.update({name: value.copy() for name, value in block.output.items()})
-        if COMMAND not in controller.output:
+        self._commands = COMMANDS if plant.robot.tilts else COMMANDS[:1]
+        if any(name not in controller.output for name in self._commands):
             raise LoopError(
-                f"{controller.name} gives {', '.join(controller.output)} and cannot fly; valid: what gives {COMMAND}"
+                f"{controller.name} gives {', '.join(controller.output)} and cannot fly; "
+                f"valid: what gives {' and '.join(self._commands)}"
             )
 
     def _every(self, rate: float, who: str) -> int:
@@ -128,7 +141,7 @@ class Loop:
         recorder = _Recorder(self.plant, self.controller, self.wiring.reference, steps)
         self._solve_times: list[float] = []
         self._statuses = {block.name: Counter[str]() for block in (*self.estimators, self.controller)}
-        pending: deque[tuple[int, Array]] = deque()
+        pending: deque[tuple[int, list[Array]]] = deque()
         started = clock.perf_counter()
         fault, done, start = "", 0, self.plant.base_pose()[:3]
         try:
@@ -137,9 +150,9 @@ class Loop:
                     self._sense(k, tables)
                 if k % self._control_every == 0:
                     late = self._control(k, tables[-1])
-                    pending.append((k + round(late / dt), self.controller.output[COMMAND].copy()))
+                    pending.append((k + round(late / dt), [self.controller.output[n].copy() for n in self._commands]))
                 while pending and pending[0][0] <= k:
-                    self.plant.command(pending.popleft()[1])
+                    self.plant.command(*pending.popleft()[1])
                 recorder.record(k)
                 self.plant.step()
                 done = k + 1
@@ -175,6 +188,9 @@ class Loop:
         bus = self._bus
         bus.update(self.sensors.imu())
         bus.update(self.sensors.rotor_speed())
+        bus.update(self.sensors.tilt_encoder())
+        if k % self._force_every == 0:
+            bus.update(self.sensors.force_torque())
         fresh = k % self._mocap_every == 0
         if fresh:
             bus.update(self.sensors.motion_capture())

@@ -63,6 +63,7 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
     # What was commanded is judged as well: the actual thrust cannot leave the range that the plant clips to.
     lower, upper = np.array([r.thrust for r in robot.rotors]).T
     commanded = violations(log["thrust_cmd"], lower, upper)
+    tilt, tilt_rate = _tilt_violations(log, robot)
     contact = np.linalg.norm(log["f_contact_W"], axis=1) if "f_contact_W" in log else np.zeros(len(log.time))
     touched = bool((contact > 0).any())
     judged = len(log.time[rows]) > 0
@@ -80,8 +81,8 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
         "airborne": float((contact[rows] == 0).mean()) if touched and judged else None,
         "violations_thrust": max(commanded, violations(log["thrust"], lower, upper)),
         "violations_thrust_rate": violations(log["thrust_rate"], rate_lower, rate_upper),
-        "violations_tilt": None,
-        "violations_tilt_rate": None,
+        "violations_tilt": tilt,
+        "violations_tilt_rate": tilt_rate,
         "solve_p50": float(np.percentile(solve, 50)) if solve.size else None,
         "solve_p99": float(np.percentile(solve, 99)) if solve.size else None,
         "solve_max": float(solve.max()) if solve.size else None,
@@ -90,3 +91,14 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
         "real_time_factor": float(len(log.time) * log.period / log.wall) if log.wall > 0 else None,
     }
     return {name: Metric(value, UNITS[name]) for name, value in values.items()}
+
+
+def _tilt_violations(log: Log, robot: Robot) -> tuple[int | None, int | None]:
+    """Rows in which a tilt angle was commanded beyond its range, and a servo beyond its rate; None if nothing tilts.
+
+    The actual angle is not judged: it cannot leave what the servo is told but by a misaligned zero.
+    """
+    if not robot.tilts:
+        return None, None
+    angles, rates = np.array([t.angle for t in robot.tilts]).T, np.array([t.rate for t in robot.tilts]).T
+    return violations(log["tilt_cmd"], *angles), violations(log["tilt_rate_cmd"], *rates)

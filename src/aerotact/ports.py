@@ -173,7 +173,8 @@ class Block:
         source: paper key, or "aerotact" for what no paper gives.
         rate: Hz at which `step` is to be called; it is compiled in.
         step: the function, flat vectors in and out.
-        limiter: for controllers, `limit(z, u) -> (z_next, u)`: brings any finite command within the actuators' limits.
+        limiter: for controllers, `limit(z, u) -> (z_next, u)`: brings any finite command, the first outputs, within the
+            actuators' limits.
         limiter_state: layout of the limiter's own state.
     """
 
@@ -239,20 +240,26 @@ class BlockBuilder:
         self._outputs.append((Port(name, int(value.shape[0]), unit, nodes=int(value.shape[1]), **rest), value))
 
     def limit_with(self, limiter: Block) -> None:
-        """Guard the command with an actuator limiter (see dynamics.actuators)."""
+        """Guard the command, the first outputs, with an actuator limiter (see dynamics.actuators)."""
         self._limiter = limiter
 
     def build(self) -> Block:
         """Close the block.
 
         Raises:
-            InputError: a state without an update, or an update without a state.
+            InputError: a state without an update, an update without a state, or first outputs that are not the
+                limiter's.
         """
         states = [p.name for p in self._ports["state"]]
         if set(states) != set(self._next):
             raise InputError(
                 f"block {self._head['name']}: states {states} and updates {sorted(self._next)} must be the same names"
             )
+        if self._limiter is not None:
+            limited = [(p.name, p.size) for p in self._limiter.output]
+            first = [(p.name, p.size) for p, _ in self._outputs[: len(limited)]]
+            if first != limited:
+                raise InputError(f"block {self._head['name']}: first outputs are {first}; valid: {limited}, as limited")
         flat = {k: ca.vertcat(*[ca.vec(s) for s in v]) if v else ca.SX(0, 1) for k, v in self._symbols.items()}
         z_next = ca.vertcat(*[self._next[n] for n in states]) if states else ca.SX(0, 1)
         u = ca.vertcat(*[ca.vec(v) for _, v in self._outputs])

@@ -7,7 +7,7 @@ import pytest
 
 from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import block_project
-from aerotact.dynamics.model import Model
+from aerotact.dynamics.model import CAPABILITIES, Model
 from aerotact.estimation import estimators
 from aerotact.exceptions import MissingCapability
 from aerotact.laws import laws
@@ -61,7 +61,7 @@ def test_problem_generates_or_names_what_is_lacking(any_model: Model, path: Path
 def _check_message(message: str, model: Model, who: str) -> None:
     assert who in message
     assert f"robot '{model.robot.name}'" in message
-    assert any(need in message.split(", which", maxsplit=1)[0] for need in ("tool", "six_axis_wrench"))
+    assert any(need in message.split(", which", maxsplit=1)[0] for need in CAPABILITIES)
 
 
 @pytest.mark.parametrize("name", sorted(laws()))
@@ -69,8 +69,8 @@ def test_law_on_a_robot_without_tool_and_sixth_axis_says_so(hexarotor: Model, na
     robot = hexarotor.robot
     upright = tuple(replace(rotor, axis_B=rotor.axis_B * [0.0, 0.0, 1.0]) for rotor in robot.rotors)
     bare = Model(replace(robot, has_tool=False, rotors=upright))
-    assert bare.capabilities == frozenset()
+    assert bare.capabilities == {"fixed_rotors"}
     with pytest.raises(MissingCapability) as caught:
         laws()[name](bare, RATE)
     _check_message(str(caught.value), bare, name)
-    assert str(caught.value).endswith("it has: none")
+    assert str(caught.value).endswith("it has: fixed_rotors")

@@ -16,7 +16,8 @@ ROBOTS = sorted(p.parent.name for p in ROOT.glob("models/*/robot.toml"))
 # Each row may import from the rows above it, and its own.
 ORDER = (
     ("exceptions", "resources", "ports", "__init__"),
-    ("parts", "arms"),
+    ("plant_file", "robot_file"),
+    ("arms",),
     ("robot",),
     ("dynamics", "gains", "discovery"),
     ("laws", "estimation"),

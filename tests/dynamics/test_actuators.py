@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from aerotact.dynamics.actuators import held_command_gain, thrust_limiter
+from aerotact.dynamics.actuators import actuator_limiter, held_command_gain
 from aerotact.dynamics.model import Model
 
 RATE = 500.0
@@ -19,7 +19,7 @@ def test_held_command_moves_the_thrust_as_the_lag_does(model: Model) -> None:
 
 def test_limiter_keeps_thrust_and_rate_of_the_actual_rotor(model: Model) -> None:
     rng, n = np.random.default_rng(11), 10_000
-    limiter = thrust_limiter(model, RATE)
+    limiter = actuator_limiter(model, RATE)
     wanted = rng.normal(0, 20, size=(model.rotors, n)) * 10 ** rng.uniform(-1, 3, size=n)
     _, sent = limiter.step.mapaccum(n)(limiter.state.default, wanted, np.zeros((0, n)), np.zeros((0, n)))
     sent = sent.full()
@@ -37,7 +37,7 @@ def test_limiter_keeps_thrust_and_rate_of_the_actual_rotor(model: Model) -> None
 
 
 def test_limiter_lets_a_feasible_command_through(model: Model) -> None:
-    limiter = thrust_limiter(model, RATE)
+    limiter = actuator_limiter(model, RATE)
     wanted = model.robot.hover_thrust + 0.5
     _, sent = limiter.step(limiter.state.default, wanted, [], [])
     np.testing.assert_array_equal(sent.full().ravel(), wanted)

@@ -13,7 +13,7 @@ from aerotact.dynamics.model import Model
 from aerotact.estimation.state_estimator import Noise, Nominal, observation, predict, state_estimator, transition
 from aerotact.exceptions import RobotError
 from aerotact.ports import Array
-from aerotact.robot import Quantity
+from aerotact.robot_file import Quantity
 
 RATE, MOCAP_EVERY = 500.0, 5
 

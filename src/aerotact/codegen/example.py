@@ -41,7 +41,7 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
     zero = ca.DM.zeros(3)
     return {
         **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B")},
-        "thrust_measured": s["thrust"],
+        **{f"{port.name}_measured": s[port.name] for port in model.actuators},
         "accelerometer_B": specific_force,
         "specific_force_B": specific_force,
         "gyro_B": w_B,
@@ -59,7 +59,7 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
 def make_example(
     name: str, model: Model, rate: float, measurement: Layout, reference: Layout, output: Layout, limited: bool
 ) -> Example:
-    """C of the model at `rate` Hz under a held thrust command, its measurements, and the references of hover.
+    """C of the model at `rate` Hz under held commands, its measurements, and the references of hover.
 
     Raises:
         CodegenError: a measurement port that no sensor gives.
@@ -76,7 +76,7 @@ def make_example(
         (ca.Function("measure", [x], [ca.densify(measure)]), f"{name}_example_measure", ["x"], ["y"]),
     ]
     if limited:
-        command = ca.SX.sym("command", model.rotors)
+        command = ca.SX.sym("command", model.commands.size)
         after = _held_step(model, x, command, 1.0 / rate)
         functions.append((ca.Function("plant", [x, command], [after]), f"{name}_example_plant", ["x", "c"], ["x_next"]))
         functions.append((ca.Function("tool", [x], [ca.densify(known[judged])]), f"{name}_example_tool", ["x"], ["at"]))
@@ -108,6 +108,8 @@ def make_example(
     )
     context = {
         "nx": x0.size,
+        # The commands are the first fields of the output.
+        "command": "(const double *)&output" if model.tilts else "output.thrust_cmd",
         "x0": [number(v) for v in start],
         "goal": [number(v) for v in goal.tolist()],
         "steps": round(SECONDS * rate),
@@ -125,13 +127,11 @@ def _evaluate(expressions: dict[str, Any], x: Any, value: Array) -> dict[str, An
 
 
 def _held_step(model: Model, x: Any, command: Any, period: float) -> Any:
-    """State after `period` under a held command: Runge-Kutta of order four, the rotors' lag in the derivative."""
+    """State after `period` under held commands: Runge-Kutta of order four, the actuators' lag in the derivative."""
     zero = ca.DM.zeros(model.disturbance.size)
-    n = model.state.size
 
     def f(state: Any) -> Any:
-        thrust = state[n - model.rotors :]
-        return model.derivative(state, (command - thrust) / ca.DM(model.time_constants), zero)
+        return model.derivative(state, model.rates(state, command), zero)
 
     h = period / SUBSTEPS
     for _ in range(SUBSTEPS):

@@ -10,7 +10,7 @@ from aerotact.codegen.functions import number
 from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest
 from aerotact.codegen.rti_sources import FunctionRow, numbers, rti_sources
 from aerotact.mpc.ocp import Ocp, limiter_of
-from aerotact.ports import Block, Layout, Port
+from aerotact.ports import Block, Layout
 
 NO_DEADLINE = 1.0  # s; counts only once the caller sets a clock
 
@@ -19,13 +19,11 @@ def mpc_block(ocp: Ocp) -> Block:
     """The controller as seen from outside: public ports, and the memory of its targets."""
     limiter = limiter_of(ocp)
     targets = ocp.targets
-    hover = tuple(ocp.model.robot.hover_thrust)
-    command = Port("thrust_cmd", ocp.model.rotors, "N", doc="thrust commands", default=hover)
     return replace(
         targets.block,
         measurement=ocp.measurement,
         parameters=ocp.parameters,
-        output=Layout([command, *targets.telemetry]),
+        output=Layout([*ocp.model.commands, *targets.telemetry]),
         limiter=limiter.step,
         limiter_state=limiter.state,
     )

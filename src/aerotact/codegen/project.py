@@ -146,7 +146,7 @@ def block_context(block: Block, robot: Robot) -> dict[str, Any]:
         "limited": block.limiter is not None,
         "limiter_size": block.limiter_state.size,
         "limiter_default": [number(v) for v in block.limiter_state.default.tolist()],
-        "command_size": block.output.ports[0].size if block.limiter is not None else 0,
+        "command_size": block.limiter.size1_out(1) if block.limiter is not None else 0,
         "max_failures": MAX_FAILURES,
         "seconds": f"{SECONDS:g}",
         "mpc": None,

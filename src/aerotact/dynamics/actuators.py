@@ -1,7 +1,8 @@
-"""Actuators: what a held command does to a lagging rotor, and the limiter that every generated controller ends with.
+"""Actuators: what a held command does to a lagging rotor or servo, and the limiter that every generated controller ends
+with.
 
-A rotor follows its command c with a first-order lag, dT/dt = (c - T)/tau. Held for h seconds, the command moves the
-thrust by (1 - exp(-h/tau)) (c - T), and the rate is largest at the start: (c - T)/tau.
+An actuator follows its command c with a first-order lag, dT/dt = (c - T)/tau, be T a thrust or a tilt angle. Held for h
+seconds, the command moves it by (1 - exp(-h/tau)) (c - T), and the rate is largest at the start: (c - T)/tau.
 """
 
 from typing import Any
@@ -10,32 +11,44 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics.model import Model
-from aerotact.ports import Block, BlockBuilder
+from aerotact.ports import Array, Block, BlockBuilder
 
 
 def held_command_gain(model: Model, period: float) -> Any:
-    """Thrust change per initial rate over one held command, s, shape (n,): tau (1 - exp(-h/tau))."""
-    tau = model.time_constants
+    """Change of tilt and thrust per initial rate over one held command, s, shape (m + n,): tau (1 - exp(-h/tau))."""
+    tau = model.actuator_time_constants
     return ca.DM(tau * -np.expm1(-period / tau))
 
 
-def thrust_limiter(model: Model, rate: float) -> Block:
-    """Limiter of thrust commands at `rate` Hz.
+def actuator_limiter(model: Model, rate: float) -> Block:
+    """Limiter of thrust and tilt commands at `rate` Hz.
 
-    It carries the rotors' lag as its state, so that it bounds the rate of the actual thrust and not the slope of the
-    command: every command that it lets through keeps thrust, and the rate of thrust, within the robot's limits.
-    The step's measurement is the command wanted, its output the command to send; both are `thrust_cmd`, N.
+    It carries the actuators' lag as its state, so that it bounds the rate of the actual thrust and angle and not the
+    slope of the command: every command that it lets through keeps them, and their rates, within the robot's limits.
+    The step's measurement is the command wanted, its output the command to send; both are laid out as model.commands.
     """
-    b = BlockBuilder("thrust_limiter", "aerotact", rate, "bounds thrust and thrust rate of the actual rotor")
-    lower, upper = (ca.DM(v) for v in model.thrust_limits)
-    rate_lower, rate_upper = (ca.DM(v) for v in model.thrust_rate_limits)
-    tau = ca.DM(model.time_constants)
-    hover = tuple(model.robot.hover_thrust)
-    thrust = b.state("thrust", model.rotors, "N", default=hover)
-    wanted = b.measurement("thrust_cmd", model.rotors, "N", default=hover)
-    command = ca.fmin(ca.fmax(wanted, thrust + tau * rate_lower), thrust + tau * rate_upper)
-    command = ca.fmin(ca.fmax(command, lower), upper)
-    gain = held_command_gain(model, 1.0 / rate) / tau
-    b.update("thrust", thrust + gain * (command - thrust))
-    b.output("thrust_cmd", command, "N", doc="thrust commands", default=hover)
+    b = BlockBuilder("actuator_limiter", "aerotact", rate, "bounds actual thrusts, tilt angles and their rates")
+    limits = {"thrust": (model.thrust_limits, model.thrust_rate_limits, model.time_constants)}
+    if model.tilts:
+        limits["tilt"] = (model.tilt_limits, model.tilt_rate_limits, model.tilt_time_constants)
+    actual = {p.name: b.state(p.name, p.size, p.unit, default=p.default) for p in model.actuators}
+    for port in model.commands:
+        name = port.name.removesuffix("_cmd")
+        wanted = b.measurement(port.name, port.size, port.unit, default=port.default)
+        command, after = _limited(wanted, actual[name], *limits[name], 1.0 / rate)
+        b.update(name, after)
+        b.output(port.name, command, port.unit, doc=port.doc, default=port.default)
     return b.build()
+
+
+def _limited(
+    wanted: Any, actual: Any, limits: tuple[Array, Array], rates: tuple[Array, Array], tau: Array, period: float
+) -> tuple[Any, Any]:
+    """The command within the limits, and what it makes of the actual value in one period."""
+    lower, upper = (ca.DM(v) for v in limits)
+    rate_lower, rate_upper = (ca.DM(v) for v in rates)
+    lag = ca.DM(tau)
+    command = ca.fmin(ca.fmax(wanted, actual + lag * rate_lower), actual + lag * rate_upper)
+    command = ca.fmin(ca.fmax(command, lower), upper)
+    share = ca.DM(tau * -np.expm1(-period / tau)) / lag
+    return command, actual + share * (command - actual)

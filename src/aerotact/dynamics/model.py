@@ -1,7 +1,8 @@
 """Model: the symbolic equations of motion of a rigid aerial robot with lagging rotors, derived from its compiled MJCF.
 
-State x:    p_WB(3) q_WB(4) v_WB(3) w_B(3) thrust(n)
-Control u:  thrust_rate(n), the rate of the actual thrust; the command that causes it is thrust + time_constant * u
+State x:    p_WB(3) q_WB(4) v_WB(3) w_B(3) tilt(m) thrust(n); no tilt if m, the number of rotors that tilt, is zero
+Control u:  tilt_rate(m) thrust_rate(n), the rates of the actual angles and thrusts; the command that causes them is
+            angle or thrust + time_constant * u
 Parameter p: f_ext_W(3), tau_ext_B(3): wrench of the environment on the robot at its centre of mass
 """
 
@@ -13,10 +14,17 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics import so3
-from aerotact.dynamics.rotors import allocation, allocation_rank
-from aerotact.exceptions import MissingCapability
+from aerotact.dynamics.rotors import allocation_parts, tilting, wrench_rank
+from aerotact.exceptions import InputError, MissingCapability
 from aerotact.ports import Array, Layout, Port
 from aerotact.robot import HOVER_KEYFRAME, Robot
+
+CAPABILITIES = {
+    "fixed_rotors": "no rotor tilts",
+    "six_axis_wrench": "force and torque can be changed in all six directions at hover",
+    "tilt": "rotors tilt",
+    "tool": "a tool is named",
+}
 
 
 @dataclass(frozen=True)
@@ -34,14 +42,32 @@ class Model:
                 Port("q_WB", 4, "1", "W", "attitude of the base", kind="quaternion"),
                 Port("v_WB", 3, "m/s", "W", "velocity of the base"),
                 Port("w_B", 3, "rad/s", "B", "angular velocity of the base"),
-                Port("thrust", self.rotors, "N", "", "actual thrusts", default=tuple(self.robot.hover_thrust)),
+                *self.actuators,
             ]
         )
 
     @cached_property
+    def actuators(self) -> Layout:
+        """Layout of the part of x that the controls integrate: tilt (left out if nothing tilts), thrust."""
+        robot = self.robot
+        tilt = Port("tilt", self.tilts, "rad", "", "actual tilt angles", default=tuple(robot.hover_tilt))
+        thrust = Port("thrust", self.rotors, "N", "", "actual thrusts", default=tuple(robot.hover_thrust))
+        return Layout([tilt, thrust] if self.tilts else [thrust])
+
+    @cached_property
     def control(self) -> Layout:
         """Layout of u."""
-        return Layout([Port("thrust_rate", self.rotors, "N/s", "", "rates of the actual thrusts")])
+        tilt = Port("tilt_rate", self.tilts, "rad/s", "", "rates of the actual tilt angles")
+        thrust = Port("thrust_rate", self.rotors, "N/s", "", "rates of the actual thrusts")
+        return Layout([tilt, thrust] if self.tilts else [thrust])
+
+    @cached_property
+    def commands(self) -> Layout:
+        """Layout of what is sent to the robot: thrust_cmd, tilt_cmd (left out if nothing tilts)."""
+        robot = self.robot
+        thrust = Port("thrust_cmd", self.rotors, "N", doc="thrust commands", default=tuple(robot.hover_thrust))
+        tilt = Port("tilt_cmd", self.tilts, "rad", doc="tilt commands", default=tuple(robot.hover_tilt))
+        return Layout([thrust, tilt] if self.tilts else [thrust])
 
     @cached_property
     def disturbance(self) -> Layout:
@@ -59,15 +85,20 @@ class Model:
         return len(self.robot.rotors)
 
     @property
+    def tilts(self) -> int:
+        """Number of rotors that tilt."""
+        return len(self.robot.tilts)
+
+    @property
     def tangent_size(self) -> int:
         """Coordinates of dx: one fewer than x, for the attitude."""
         return self.state.size - 1
 
     @cached_property
     def capabilities(self) -> frozenset[str]:
-        """What laws and OCPs may need: six_axis_wrench, tool."""
-        found = set()
-        if allocation_rank(self.robot) == 6:
+        """What laws and OCPs may need, of CAPABILITIES."""
+        found = {"tilt" if self.tilts else "fixed_rotors"}
+        if wrench_rank(self.robot) == 6:
             found.add("six_axis_wrench")
         if self.robot.has_tool:
             found.add("tool")
@@ -103,7 +134,7 @@ class Model:
         p_WE, q_WE = ca.Function("tool", [x], list(self.tool_pose(x)))(self.hover_state)
         return p_WE.full().ravel(), q_WE.full().ravel()
 
-    # limits, all of shape (n,)
+    # limits, of shape (n,) for thrusts and (m,) for tilts
 
     @cached_property
     def thrust_limits(self) -> tuple[Array, Array]:
@@ -122,15 +153,53 @@ class Model:
         """Rotor lags, s."""
         return np.array([r.time_constant for r in self.robot.rotors])
 
+    @cached_property
+    def tilt_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest tilt angle, rad."""
+        lower, upper = np.array([t.angle for t in self.robot.tilts]).reshape(-1, 2).T
+        return lower, upper
+
+    @cached_property
+    def tilt_rate_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest rate of the actual tilt angle, rad/s."""
+        lower, upper = np.array([t.rate for t in self.robot.tilts]).reshape(-1, 2).T
+        return lower, upper
+
+    @cached_property
+    def tilt_time_constants(self) -> Array:
+        """Lags of the tilt servos, s."""
+        return np.array([t.time_constant for t in self.robot.tilts])
+
+    @cached_property
+    def actuator_time_constants(self) -> Array:
+        """Lags in the order of the controls, s, shape (m + n,)."""
+        return np.concatenate([self.tilt_time_constants, self.time_constants])
+
     # equations
 
     @cached_property
-    def _allocation(self) -> Any:
-        return ca.sparsify(ca.DM(allocation(self.robot)))
+    def _allocation(self) -> tuple[Any, Any, Any]:
+        A_0, A_c, A_s = (ca.sparsify(ca.DM(part)) for part in allocation_parts(self.robot))
+        turning = tilting(self.robot)
+        return A_0, A_c[:, turning], A_s[:, turning]
 
-    def rotor_wrench(self, thrust: Any) -> tuple[Any, Any]:
-        """Force, N, and torque about the centre of mass, N m, of the rotors, in B; ryll2019 (8)-(9)."""
-        wrench = ca.mtimes(self._allocation, thrust)
+    def rotor_wrench(self, thrust: Any, tilt: Any = None) -> tuple[Any, Any]:
+        """Force, N, and torque about the centre of mass, N m, of the rotors, in B; ryll2019 (8)-(9), and tilted.
+
+        Args:
+            thrust: N, (n,).
+            tilt: rad, (m,); may be left out if nothing tilts.
+
+        Raises:
+            InputError: rotors tilt and no angles are given.
+        """
+        A_0, A_c, A_s = self._allocation
+        wrench = ca.mtimes(A_0, thrust)
+        if self.tilts:
+            if tilt is None:
+                raise InputError(f"rotor_wrench: no tilt angles; valid: {self.tilts} angles of '{self.robot.name}'")
+            turned = thrust[tilting(self.robot)]
+            wrench += ca.mtimes(A_c, turned * ca.cos(tilt)) + ca.mtimes(A_s, turned * ca.sin(tilt))
         return wrench[0:3], wrench[3:6]
 
     def accelerations(self, x: Any, p: Any) -> tuple[Any, Any]:
@@ -141,7 +210,7 @@ class Model:
         """
         s, d = self.state.split(x), self.disturbance.split(p)
         R_WB = so3.rotation(s["q_WB"])
-        f_B, tau_B = self.rotor_wrench(s["thrust"])
+        f_B, tau_B = self.rotor_wrench(s["thrust"], s.get("tilt"))
         w, J, c = s["w_B"], ca.sparsify(ca.DM(_clean(self.robot.J_C))), ca.sparsify(ca.DM(_clean(self.robot.p_BC)))
         J_inverse = ca.sparsify(ca.DM(_clean(np.linalg.inv(self.robot.J_C))))
         dw = ca.mtimes(J_inverse, tau_B + d["tau_ext_B"] - ca.cross(w, ca.mtimes(J, w)))
@@ -150,19 +219,31 @@ class Model:
         return a_WB, dw
 
     def derivative(self, x: Any, u: Any, p: Any) -> Any:
-        """dx/dt for thrust rates u and external wrench p."""
+        """dx/dt for the rates u of tilts and thrusts and the external wrench p."""
         s = self.state.split(x)
         a_WB, dw = self.accelerations(x, p)
         return ca.vertcat(s["v_WB"], so3.quaternion_rate(s["q_WB"], s["w_B"]), a_WB, dw, u)
 
     def command(self, x: Any, u: Any) -> Any:
-        """Thrust command, N, that gives the thrust rates u now: the inverse of the rotor lag."""
-        return self.state.split(x)["thrust"] + ca.DM(self.time_constants) * u
+        """Commands, laid out as `commands`, that give the rates u now: the inverse of the actuators' lags."""
+        s, rate = self.state.split(x), self.control.split(u)
+        thrust = s["thrust"] + ca.DM(self.time_constants) * rate["thrust_rate"]
+        if not self.tilts:
+            return thrust
+        return ca.vertcat(thrust, s["tilt"] + ca.DM(self.tilt_time_constants) * rate["tilt_rate"])
+
+    def rates(self, x: Any, command: Any) -> Any:
+        """Rates u that commands, laid out as `commands`, cause now: the inverse of `command`."""
+        s, sent = self.state.split(x), self.commands.split(command)
+        rate = (sent["thrust_cmd"] - s["thrust"]) / ca.DM(self.time_constants)
+        if not self.tilts:
+            return rate
+        return ca.vertcat((sent["tilt_cmd"] - s["tilt"]) / ca.DM(self.tilt_time_constants), rate)
 
     # manifold
 
     def retract(self, x: Any, dx: Any) -> Any:
-        """x (+) dx with dx = [dp, sigma, dv, dw, dT]; sigma as in dynamics.so3."""
+        """x (+) dx with dx = [dp, sigma, dv, dw, dalpha, dT]; sigma as in dynamics.so3."""
         n = self.state.size
         return ca.vertcat(x[0:3] + dx[0:3], so3.retract(x[3:7], dx[3:6]), x[7:n] + dx[6 : n - 1])
 

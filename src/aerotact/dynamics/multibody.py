@@ -221,11 +221,11 @@ class Multibody(Model):
         """Generalised force [f_B; tau_B; tau_joints] of the tool forces in p, shape (6 + m,)."""
         s, d = self.state.split(x), self.disturbance.split(p)
         R_WB, q = so3.rotation(s["q_WB"]), s["joint"]
-        total = ca.SX.zeros(6 + self.joints)
+        total = ca.DM.zeros(6 + self.joints)
         for arm in self.robot.arms:
             f_B = ca.mtimes(R_WB.T, d[f"f_{arm.name}_W"])
-            p_BE, _ = self.bodies.site(arm.tool_index, q)
-            total += ca.vertcat(f_B, ca.cross(p_BE, f_B), ca.jtimes(p_BE, q, f_B, True))
+            tool = self.bodies.site(arm.tool_index, q)
+            total += ca.vertcat(f_B, ca.cross(tool.p_BS, f_B), ca.mtimes(tool.J_v.T, f_B))
         return total
 
     def motion(self, x: Any, u: Any, p: Any) -> tuple[Any, Any, Any]:
@@ -237,7 +237,7 @@ class Multibody(Model):
         s, d = self.state.split(x), self.disturbance.split(p)
         R_WB = so3.rotation(s["q_WB"])
         f_B, tau_B = self.rotor_wrench(s["thrust"])
-        torque = ca.vertcat(ca.SX.zeros(self.passive), self.joint_torque(x, u))
+        torque = ca.vertcat(ca.DM.zeros(self.passive), self.joint_torque(x, u))
         torque -= ca.DM(self.bearing_damping) * s["joint_rate"]
         forces = ca.vertcat(f_B + ca.mtimes(R_WB.T, d["f_ext_W"]), tau_B + d["tau_ext_B"], torque)
         forces += self.tool_force_torques(x, p)
@@ -249,7 +249,7 @@ class Multibody(Model):
 
     def accelerations(self, x: Any, p: Any) -> tuple[Any, Any]:
         """a_WB and dw_B as by `motion`, with the servos held."""
-        a_WB, dw_B, _ = self.motion(x, ca.SX.zeros(self.control.size), p)
+        a_WB, dw_B, _ = self.motion(x, ca.DM.zeros(self.control.size), p)
         return a_WB, dw_B
 
     def derivative(self, x: Any, u: Any, p: Any) -> Any:
@@ -294,35 +294,33 @@ class Multibody(Model):
     def at_rest(self, x: Any) -> Any:
         """x with zero velocities."""
         s = self.state.split(x)
-        rest = ca.SX.zeros(6), s["joint"], ca.SX.zeros(self.joints)
+        rest = ca.DM.zeros(6), s["joint"], ca.DM.zeros(self.joints)
         return ca.vertcat(s["p_WB"], s["q_WB"], *rest, s["servo"], s["thrust"])
 
     # tools
 
     def arm_tool_pose(self, x: Any, arm: str) -> tuple[Any, Any]:
-        """Position p_WE (3,), m, and rotation R_WE (3, 3) of an arm's tool."""
+        """Position p_WE (3,), m, and attitude q_WE (4,) of an arm's tool."""
         return self._site_pose(x, self.arm(arm).tool_index)
 
     def tool_pose(self, x: Any) -> tuple[Any, Any]:
         """Position p_WE (3,), m, and attitude q_WE (4,) of the tool that `robot.tool` names."""
-        p_WE, R_WE = self._site_pose(x, self._tool)
-        return p_WE, so3.from_rotation(R_WE)
+        return self._site_pose(x, self._tool)
 
     def tool_twist(self, x: Any) -> tuple[Any, Any]:
         """Tool velocity v_WE (3,), m/s in W, and angular velocity w_E (3,), rad/s in E."""
         s = self.state.split(x)
-        q, rate = s["joint"], s["joint_rate"]
-        p_BE, R_BE = self.bodies.site(self._tool, q)
-        v_B = ca.cross(s["w_B"], p_BE) + ca.jtimes(p_BE, q, rate)
-        turn = ca.reshape(ca.jtimes(ca.vec(R_BE), q, rate), 3, 3)
-        w_E = ca.mtimes(R_BE.T, s["w_B"]) + so3.vee(ca.mtimes(R_BE.T, turn))
-        return s["v_WB"] + ca.mtimes(so3.rotation(s["q_WB"]), v_B), w_E
+        twist = ca.mtimes(self.tool_jacobian(x), ca.vertcat(s["v_WB"], s["w_B"], s["joint_rate"]))
+        return twist[0:3], twist[3:6]
 
     def tool_jacobian(self, x: Any) -> Any:
         """Matrix (6, 6 + m) from [v_WB; w_B; joint_rate] to [v_WE; w_E]."""
-        jacobian = ca.jacobian(ca.vertcat(*self.tool_twist(x)), x)
-        rates = self.state.slice("joint_rate")
-        return ca.horzcat(jacobian[:, 7:13], jacobian[:, rates])
+        s = self.state.split(x)
+        R_WB, tool = so3.rotation(s["q_WB"]), self.bodies.site(self._tool, s["joint"])
+        return ca.vertcat(
+            ca.horzcat(ca.DM.eye(3), -ca.mtimes(R_WB, so3.skew(tool.p_BS)), ca.mtimes(R_WB, tool.J_v)),
+            ca.horzcat(ca.DM.zeros(3, 3), so3.rotation(tool.q_BS).T, tool.J_w),
+        )
 
     @cached_property
     def _tool(self) -> int:
@@ -330,6 +328,5 @@ class Multibody(Model):
 
     def _site_pose(self, x: Any, site: int) -> tuple[Any, Any]:
         s = self.state.split(x)
-        R_WB = so3.rotation(s["q_WB"])
-        p_BE, R_BE = self.bodies.site(site, s["joint"])
-        return s["p_WB"] + ca.mtimes(R_WB, p_BE), ca.mtimes(R_WB, R_BE)
+        frame = self.bodies.site(site, s["joint"])
+        return s["p_WB"] + ca.mtimes(so3.rotation(s["q_WB"]), frame.p_BS), so3.product(s["q_WB"], frame.q_BS)

@@ -18,7 +18,8 @@ from aerotact.dynamics.model import Model
 from aerotact.exceptions import RobotError
 from aerotact.gains import with_robot_gains
 from aerotact.ports import Block, BlockBuilder
-from aerotact.robot import Quantity, Robot
+from aerotact.robot import Robot
+from aerotact.robot_file import Quantity
 
 ERRORS = 15
 SMALLEST = 1e-6  # of a standard deviation, in its unit: a perfect sensor would leave nothing to invert

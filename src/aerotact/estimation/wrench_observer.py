@@ -91,6 +91,10 @@ def wrench_observer(model: Model, rate: float) -> Block:
         "specific_force_B", 3, "m/s^2", frame="B", doc="at the IMU, bias removed", default=(0.0, 0.0, robot.gravity)
     )
     thrust = b.measurement("thrust_measured", model.rotors, "N", doc="actual thrusts", default=hover)
+    tilt = None
+    if model.tilts:
+        level = tuple(float(v) for v in robot.hover_tilt)
+        tilt = b.measurement("tilt_measured", model.tilts, "rad", doc="actual tilt angles", default=level)
     calibrate = b.reference("calibrate", 1, "1", kind="flag", doc="1 in contact-free hover: learn the offset")
 
     L = b.parameter("L", 3, "rad/s", 10.0, doc="bandwidth of the force observer, (19)", frame="W")
@@ -99,7 +103,7 @@ def wrench_observer(model: Model, rate: float) -> Block:
 
     # torque, (21)-(24): what the momentum gained beyond what rotors and gyroscopic torque explain
     J = ca.sparsify(ca.DM(np.where(np.abs(robot.J_C) < 1e-15, 0.0, robot.J_C)))
-    f_rotors_B, tau_rotors_B = model.rotor_wrench(thrust)
+    f_rotors_B, tau_rotors_B = model.rotor_wrench(thrust, tilt)
     momentum = ca.mtimes(J, w_B)
     torque = tau_rotors_B - ca.cross(w_B, momentum)
     gained = (momentum - momentum_before) * rate - (torque + torque_before) / 2

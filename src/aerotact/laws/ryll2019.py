@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics import admittance, so3
-from aerotact.dynamics.actuators import thrust_limiter
+from aerotact.dynamics.actuators import actuator_limiter
 from aerotact.dynamics.admittance import ToolMotion
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.rotors import least_thrust_inverse
@@ -240,10 +240,10 @@ def pose_control(model: Model, rate: float) -> Block:
     """Full-pose control with wrench compensation, (11)-(17) and (26), without the admittance filter.
 
     Raises:
-        MissingCapability: the robot cannot exert force and torque independently.
+        MissingCapability: rotors tilt, or the robot cannot exert force and torque independently.
     """
     b = BlockBuilder("ryll2019_pose_control", SOURCE, rate, "full-pose inverse dynamics (11)-(17), (26)")
-    model.require(["six_axis_wrench"], "law ryll2019_pose_control")
+    model.require(["fixed_rotors", "six_axis_wrench"], "law ryll2019_pose_control")
     base, wrench = _add_base(b, model), _add_external_wrench(b)
     at = _hover(model)
     reference = BaseMotion(
@@ -255,7 +255,7 @@ def pose_control(model: Model, rate: float) -> Block:
         dw_B=b.reference("dw_B_r", 3, "rad/s^2", frame="B", doc="its derivative in the reference's own axes"),
     )
     _add_thrust(b, model, base, wrench, reference)
-    b.limit_with(thrust_limiter(model, rate))
+    b.limit_with(actuator_limiter(model, rate))
     return with_robot_gains(b.build(), model.robot)
 
 
@@ -279,15 +279,15 @@ def ryll2019_admittance(model: Model, rate: float) -> Block:
     """The whole law: admittance filter (27)-(28), reference of the base (29)-(30), pose control (11)-(17), (26).
 
     Raises:
-        MissingCapability: the robot has no tool, or cannot exert force and torque independently.
+        MissingCapability: rotors tilt, the robot has no tool, or cannot exert force and torque independently.
     """
     b = BlockBuilder("ryll2019_admittance", SOURCE, rate, "admittance law of the flying end-effector (11)-(30)")
-    model.require(["six_axis_wrench", "tool"], "law ryll2019_admittance")
+    model.require(["fixed_rotors", "six_axis_wrench", "tool"], "law ryll2019_admittance")
     base, wrench = _add_base(b, model), _add_external_wrench(b)
     tool = _add_admittance(b, model, rate)
     _add_thrust(b, model, base, wrench, base_reference(model, tool))
     _output_tool_pose(b, tool)
-    b.limit_with(thrust_limiter(model, rate))
+    b.limit_with(actuator_limiter(model, rate))
     return with_robot_gains(b.build(), model.robot)
 
 

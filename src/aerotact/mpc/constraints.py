@@ -17,7 +17,7 @@ class Bounds:
         x_lower, x_upper: their bounds, shape (len(states),).
         u_lower, u_upper: bounds of the controls, shape (nu,), infinite where there is none.
         lag: s, shape (nu,), if the command of the first interval, state + lag * control, is bounded too; the bounded
-            states are then those that the controls integrate, in their order.
+            states are then those that the controls integrate, in their order, with infinite bounds where there is none.
     """
 
     states: tuple[int, ...]
@@ -31,16 +31,28 @@ class Bounds:
 CONSTRAINTS = {
     "thrust": "lowest and highest thrust at every node, and of the command that is sent",
     "thrust_rate": "lowest and highest rate of the actual thrust",
+    "tilt": "lowest and highest tilt angle at every node, and of the command that is sent",
+    "tilt_rate": "lowest and highest rate of the actual tilt angle",
 }
+NEEDS = {"tilt": "tilt", "tilt_rate": "tilt"}  # capabilities, by constraint
 
 
 def make_bounds(model: Model, names: list[str]) -> Bounds:
     """Bounds of the named constraints (each a key of CONSTRAINTS)."""
-    n = model.rotors
-    where = model.state.slice("thrust")
-    unbounded = np.full(n, np.inf)
-    thrust, rate = "thrust" in names, "thrust_rate" in names
-    lower, upper = model.thrust_limits if thrust else (np.zeros(0), np.zeros(0))
-    u_lower, u_upper = model.thrust_rate_limits if rate else (-unbounded, unbounded)
-    states = tuple(range(where.start, where.stop)) if thrust else ()
-    return Bounds(states, lower, upper, u_lower, u_upper, model.time_constants if thrust else None)
+    known = {"thrust": (model.thrust_limits, model.thrust_rate_limits)}
+    if model.tilts:
+        known["tilt"] = (model.tilt_limits, model.tilt_rate_limits)
+    values: list[tuple[Array, Array]] = []
+    rates: list[tuple[Array, Array]] = []
+    for port in model.actuators:
+        unbounded = np.full(port.size, np.inf)
+        limits, rate_limits = known[port.name]
+        values.append(limits if port.name in names else (-unbounded, unbounded))
+        rates.append(rate_limits if f"{port.name}_rate" in names else (-unbounded, unbounded))
+    lower, upper = np.hstack(values)
+    u_lower, u_upper = np.hstack(rates)
+    if not any(port.name in names for port in model.actuators):
+        return Bounds((), lower[:0], upper[:0], u_lower, u_upper)
+    start = model.state.size - model.actuators.size
+    states = tuple(range(start, model.state.size))
+    return Bounds(states, lower, upper, u_lower, u_upper, model.actuator_time_constants)

@@ -7,11 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from aerotact.dynamics.actuators import held_command_gain, thrust_limiter
-from aerotact.dynamics.model import Model
-from aerotact.exceptions import InputError, ProblemError, UnknownName
+from aerotact.dynamics.actuators import actuator_limiter, held_command_gain
+from aerotact.dynamics.model import CAPABILITIES, Model
+from aerotact.exceptions import InputError, MissingCapability, ProblemError, UnknownName
 from aerotact.laws import laws
-from aerotact.mpc.constraints import CONSTRAINTS, make_bounds
+from aerotact.mpc.constraints import CONSTRAINTS, NEEDS, make_bounds
 from aerotact.mpc.problem import ProblemFile, ResidualEntry, load_problem
 from aerotact.mpc.residuals import RESIDUALS, Residual
 from aerotact.mpc.targets import Targets, make_targets
@@ -58,7 +58,7 @@ class Ocp(Transcription):
     @property
     def measurement(self) -> Layout:
         """Measurement ports of the controller."""
-        return Layout(self.targets.block.measurement.ports[:-1])
+        return Layout(self.targets.block.measurement.ports[: -len(self.model.actuators)])
 
 
 def _weights(path: Path, name: str, entry: ResidualEntry, residual: Residual, model: Model) -> list[Port]:
@@ -71,7 +71,7 @@ def _weights(path: Path, name: str, entry: ResidualEntry, residual: Residual, mo
             raise ProblemError(path, f"{key}.{name_given}", "is no term of this residual", f"valid: {', '.join(known)}")
     ports = []
     for term in residual.terms:
-        size = term.size or model.rotors
+        size = term.count(model)
         value = np.asarray(given.get(term.key, 0.0), dtype=float)
         if value.shape not in ((), (size,)):
             raise ProblemError(path, f"{key}.{term.key}", f"has {value.size} numbers", f"give one, or {size}")
@@ -101,14 +101,18 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
             if name not in valid:
                 raise ProblemError(path, title, f"unknown '{name}'", f"valid: {', '.join(sorted(valid))}")
     residuals = [RESIDUALS[name] for name in file.residuals]
-    needs = [*file.problem.needs, *(n for r in residuals for n in r.needs)]
-    unknown = sorted(set(needs) - {"six_axis_wrench", "tool"})
+    needs = [
+        *file.problem.needs,
+        *(n for r in residuals for n in r.needs),
+        *(NEEDS[name] for name in file.constraints if name in NEEDS),
+    ]
+    unknown = sorted(set(needs) - set(CAPABILITIES))
     if unknown:
-        raise ProblemError(path, "problem.needs", f"unknown {unknown}", "valid: six_axis_wrench, tool")
+        raise ProblemError(path, "problem.needs", f"unknown {unknown}", f"valid: {', '.join(sorted(CAPABILITIES))}")
     model.require(list(dict.fromkeys(needs)), f"problem '{path.stem}'")
 
     weights = [p for r in residuals for p in _weights(path, r.name, file.residuals[r.name], r, model)]
-    uses = {r.target for r in residuals if r.target} | ({"thrust"} if "thrust" in file.residuals else set())
+    uses = {r.target for r in residuals if r.target} | {"trim" for r in residuals if r.trim}
     times = file.problem.nodes
     targets = make_targets(path.stem, file.problem.doc, model, times, file.problem.rate, uses, weights)
     for parameter in file.parameters:
@@ -119,7 +123,10 @@ def load_ocp(name_or_path: str | Path, model: Model) -> Ocp:
     except (InputError, UnknownName) as error:
         raise ProblemError(path, "parameters", str(error), "one number, or one a coordinate") from error
     targets = Targets(block, targets.stage, targets.telemetry)
-    fallback = laws()[file.problem.fallback](model, file.problem.rate)
+    try:
+        fallback = laws()[file.problem.fallback](model, file.problem.rate)
+    except MissingCapability as error:
+        raise MissingCapability(f"problem '{path.stem}', fallback: {error}") from error
     _check_fallback(path, fallback, targets.block)
     transcription = transcribe(_state(path, file, model, targets, residuals))
     own = {f.name: getattr(transcription, f.name) for f in fields(Transcription)}
@@ -197,4 +204,4 @@ def _terms(
 
 def limiter_of(ocp: Ocp) -> Block:
     """The limiter that every command passes."""
-    return thrust_limiter(ocp.model, ocp.rate)
+    return actuator_limiter(ocp.model, ocp.rate)

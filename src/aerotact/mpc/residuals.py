@@ -14,11 +14,15 @@ from aerotact.dynamics.model import Model
 
 @dataclass(frozen=True)
 class Term:
-    """One weighted part of a residual: `size` numbers (0: one a rotor) of the given unit."""
+    """One weighted part of a residual: `size` numbers of the given unit, or as many as model.actuators has under it."""
 
     key: str
-    size: int
+    size: int | str
     unit: str
+
+    def count(self, model: Model) -> int:
+        """Numbers that it has for a model."""
+        return self.size if isinstance(self.size, int) else model.actuators[self.size].size
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,7 @@ class Residual:
     Attributes:
         target: which motion of the tool its stage parameters describe: "desired", "admittance" or none.
         controls: it depends on the controls, so that it has no terminal part.
+        trim: its stage parameters are the actuators' values of least thrust.
         build: (model, x, u, stage parameters by name) -> one expression a term.
     """
 
@@ -38,6 +43,7 @@ class Residual:
     build: Callable[[Model, Any, Any, dict[str, Any]], tuple[Any, ...]]
     target: str | None = None
     controls: bool = False
+    trim: bool = False
 
 
 def _pose(suffix: str) -> Callable[[Model, Any, Any, dict[str, Any]], tuple[Any, ...]]:
@@ -69,8 +75,16 @@ def _thrust(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
     return (model.state.split(x)["thrust"] - p["thrust_trim"],)
 
 
+def _tilt(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    return (model.state.split(x)["tilt"] - p["tilt_trim"],)
+
+
 def _rate(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
-    return (u,)
+    return (model.control.split(u)["thrust_rate"],)
+
+
+def _tilt_rate(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
+    return (model.control.split(u)["tilt_rate"],)
 
 
 _POSE = (Term("position", 3, "1/m^2"), Term("attitude", 3, "1/rad^2"))
@@ -93,9 +107,21 @@ RESIDUALS = {
             "thrust",
             "thrust minus the least thrust that holds the target motion against the estimated wrench",
             ("six_axis_wrench",),
-            (Term("thrust", 0, "1/N^2"),),
+            (Term("thrust", "thrust", "1/N^2"),),
             _thrust,
+            trim=True,
         ),
-        Residual("rate", "thrust rate", (), (Term("rate", 0, "s^2/N^2"),), _rate, controls=True),
+        Residual(
+            "tilt",
+            "tilt angle minus that of the least thrust that holds the target motion against the estimated wrench",
+            ("six_axis_wrench", "tilt"),
+            (Term("tilt", "tilt", "1/rad^2"),),
+            _tilt,
+            trim=True,
+        ),
+        Residual("rate", "thrust rate", (), (Term("rate", "thrust", "s^2/N^2"),), _rate, controls=True),
+        Residual(
+            "tilt_rate", "tilt rate", ("tilt",), (Term("tilt_rate", "tilt", "s^2/rad^2"),), _tilt_rate, controls=True
+        ),
     )
 }

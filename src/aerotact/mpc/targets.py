@@ -12,8 +12,8 @@ import casadi as ca
 from aerotact.dynamics import admittance as adm
 from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
-from aerotact.dynamics.rotors import least_thrust_inverse
-from aerotact.ports import Block, BlockBuilder, Layout, Port
+from aerotact.dynamics.rotors import least_thrust
+from aerotact.ports import Array, Block, BlockBuilder, Layout, Port
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Targets:
     """The block that prepares a solve.
 
     Attributes:
-        block: outputs `x0`, then `stage` (nodes, stage.size), then telemetry; its last measurement port is the
-            modelled thrust, which the limiter of the controller keeps.
+        block: outputs `x0`, then `stage` (nodes, stage.size), then telemetry; its last measurement ports are the
+            modelled tilts and thrusts, which the limiter of the controller keeps.
         stage: layout of one stage's parameters.
         telemetry: layout of what is passed on for the log.
     """
@@ -87,8 +87,9 @@ def _admittance(b: BlockBuilder, desired: list[adm.ToolMotion], times: list[floa
     return motions
 
 
-def _trim(model: Model, target: adm.ToolMotion, f_ext_W: Any, tau_ext_B: Any) -> Any:
-    """Least thrust that gives the target its acceleration against the estimated wrench, clipped to the limits."""
+def _trim(model: Model, target: adm.ToolMotion, f_ext_W: Any, tau_ext_B: Any, tilt: Any) -> dict[str, Any]:
+    """Actuators of least thrust that give the target its acceleration against the estimated wrench, cut to the limits;
+    tilts nearest to those given."""
     robot = model.robot
     R_WB = ca.mtimes(so3.rotation(target.q_WE), ca.DM(robot.R_BE.T))
     w_B, dw_B = ca.mtimes(R_WB.T, target.w_WE), ca.mtimes(R_WB.T, target.dw_WE)
@@ -97,9 +98,16 @@ def _trim(model: Model, target: adm.ToolMotion, f_ext_W: Any, tau_ext_B: Any) ->
     f_B = ca.mtimes(R_WB.T, robot.mass * (a_WC + ca.DM([0, 0, robot.gravity])) - f_ext_W)
     J = ca.DM(robot.J_C)
     tau_B = ca.mtimes(J, dw_B) + ca.cross(w_B, ca.mtimes(J, w_B)) - tau_ext_B
-    lower, upper = (ca.DM(v) for v in model.thrust_limits)
-    thrust = ca.mtimes(ca.DM(least_thrust_inverse(robot)), ca.vertcat(f_B, tau_B))
-    return ca.fmin(ca.fmax(thrust, lower), upper)
+    thrust, angles = least_thrust(robot, ca.vertcat(f_B, tau_B), tilt)
+    trim = {"thrust": _cut(thrust, model.thrust_limits)}
+    if model.tilts:
+        trim["tilt"] = _cut(angles, model.tilt_limits)
+    return trim
+
+
+def _cut(value: Any, limits: tuple[Array, Array]) -> Any:
+    lower, upper = (ca.DM(v) for v in limits)
+    return ca.fmin(ca.fmax(value, lower), upper)
 
 
 def make_targets(
@@ -112,7 +120,7 @@ def make_targets(
         model: of the robot.
         times: nodes, s.
         rate: Hz.
-        uses: which targets the residuals need: "desired", "admittance", "thrust".
+        uses: which targets the residuals need: "desired", "admittance", "trim".
         weights: parameter ports of the residuals' weights.
     """
     b = BlockBuilder(name, "aerotact", rate, doc)
@@ -129,7 +137,7 @@ def make_targets(
     desired = _motions(b, model, len(times))
     reference = _admittance(b, desired, times) if "admittance" in uses else None
     target = reference or desired
-    thrust = b.measurement("thrust", model.rotors, "N", doc="modelled thrust")
+    actuators = {p.name: b.measurement(p.name, p.size, p.unit, doc=f"modelled {p.name}") for p in model.actuators}
 
     ports = [Port("f_ext_W", 3, "N", "W"), Port("tau_ext_B", 3, "N m", "B")]
     columns: list[list[Any]] = [[f_ext, tau_ext] for _ in times]
@@ -141,11 +149,14 @@ def make_targets(
         for column, motion in zip(columns, motions, strict=True):
             w_E = ca.mtimes(so3.rotation(motion.q_WE).T, motion.w_WE)
             column += [motion.p_WE, motion.q_WE, motion.v_WE, w_E]
-    if "thrust" in uses:
-        ports.append(Port("thrust_trim", model.rotors, "N"))
+    if "trim" in uses:
+        ports += [Port(f"{p.name}_trim", p.size, p.unit) for p in model.actuators]
+        tilt = actuators.get("tilt")
         for column, motion in zip(columns, target, strict=True):
-            column.append(_trim(model, motion, f_ext, tau_ext))
-    b.output("x0", ca.vertcat(x, thrust), "1")
+            trim = _trim(model, motion, f_ext, tau_ext, tilt)
+            column += [trim[p.name] for p in model.actuators]
+            tilt = trim.get("tilt")
+    b.output("x0", ca.vertcat(x, *actuators.values()), "1")
     b.output("stage", ca.horzcat(*[ca.vertcat(*c) for c in columns]), "1")
     telemetry = Layout(
         [

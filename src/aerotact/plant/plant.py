@@ -17,10 +17,12 @@ from numpy.typing import ArrayLike
 
 from aerotact.exceptions import InputError, LoopError, RobotError
 from aerotact.plant.disturbance import Disturbance
+from aerotact.plant.servos import TiltServos
 from aerotact.plant.tip import Tip
 from aerotact.plant.world import attach_world
+from aerotact.plant_file import mujoco_warnings
 from aerotact.ports import Array
-from aerotact.robot import HOVER_KEYFRAME, Robot, mujoco_warnings
+from aerotact.robot import HOVER_KEYFRAME, Robot
 
 _OBJ = mujoco.mjtObj
 
@@ -46,6 +48,7 @@ class Plant:
         robot: whose plant.xml it is.
         model: compiled `mujoco.MjModel` of robot and world.
         data: its `mujoco.MjData`; call `mujoco.mj_forward(model, data)` after writing into it.
+        rng: of what disturbances draw; begins anew at each reset.
         tip: the end of the tool, its contacts and their friction.
         disturbances: those that act, in order; add by `disturb`.
         timestep: of the physics, s.
@@ -58,6 +61,7 @@ class Plant:
         *,
         timestep: float = 1e-3,
         disturbances: Iterable[Disturbance] = (),
+        seed: int = 0,
     ) -> None:
         """Join robot and world and start at hover.
 
@@ -66,6 +70,7 @@ class Plant:
             world: name or path of a world (see `aerotact.plant.world`); none is empty space.
             timestep: of the physics, s.
             disturbances: what acts on the plant.
+            seed: of what the disturbances draw.
 
         Raises:
             UnknownName: no such world.
@@ -76,6 +81,8 @@ class Plant:
             raise InputError(f"timestep is {timestep} s; valid: 1e-5 to 0.01 s")
         self.robot = robot
         self.timestep = timestep
+        self._seed = seed
+        self.rng = np.random.default_rng((seed, 1))  # not the sequence of the sensors with this seed
         self.model = self._compile(world)
         self.data = mujoco.MjData(self.model)
         self.disturbances: list[Disturbance] = []
@@ -117,6 +124,7 @@ class Plant:
         self._qvel = int(model.jnt_dofadr[model.body_jntadr[self.base_id]])
         self._actuators = np.array([model.actuator(r.actuator).id for r in self.robot.rotors])
         self._thrusts = model.actuator_actadr[self._actuators]
+        self.servos = TiltServos(self.robot, model, self.data)
         self._hover_qpos, self._hover_qvel = model.qpos0.copy(), np.zeros(model.nv)
         self._hover_act, self._hover_ctrl = np.zeros(model.na), np.zeros(model.nu)
         for body in np.flatnonzero(alone.body_jntnum):
@@ -168,23 +176,29 @@ class Plant:
         mujoco.mj_resetData(self.model, data)
         data.qpos[:], data.qvel[:] = qpos, self._hover_qvel
         data.act[:], data.ctrl[:] = self._hover_act, self._hover_ctrl
+        self.servos.reset()
         self.tip.reset()
+        self.rng = np.random.default_rng((self._seed, 1))
         self._pushed = False
         self._push_W, self._contact_W = np.zeros(3), np.zeros(3)
         mujoco.mj_forward(self.model, data)
         if data.ncon:
             self.tip.read_normal_forces()
 
-    def command(self, thrust: ArrayLike) -> None:
-        """Set the commanded thrusts; they hold until the next call. Beyond a rotor's range they are cut to it.
+    def command(self, thrust: ArrayLike, tilt: ArrayLike | None = None) -> None:
+        """Set the commanded thrusts and tilt angles; they hold until the next call. Beyond a range they are cut to it.
 
         Args:
             thrust: N, shape (n,), in the order of `robot.rotors`.
+            tilt: rad, shape (m,), in the order of `robot.tilts`; None leaves the angles as they were commanded.
 
         Raises:
             InputError: wrong shape or not finite.
         """
-        self.data.ctrl[self._actuators] = _vector("thrust", thrust, self._actuators.size)
+        wanted = _vector("thrust", thrust, self._actuators.size)
+        if tilt is not None:
+            self.servos.command(_vector("tilt", tilt, len(self.robot.tilts)))
+        self.data.ctrl[self._actuators] = wanted
 
     def push(self, body: int, force_W: Array, p_WP: Array, torque_W: Array | None = None) -> None:
         """Let a force and a torque act on a body for the coming step; for use by disturbances.
@@ -226,6 +240,7 @@ class Plant:
             self._push_W = np.zeros(3)
         for disturbance in self.disturbances:
             disturbance.apply(self)
+        self.servos.turn()
         try:
             if data.ncon and self.tip.geoms:
                 self._step_in_contact()
@@ -271,6 +286,9 @@ class Plant:
         Returns:
             p_WB (m), q_WB (wxyz), v_WB (m/s, in W), w_B (rad/s, in B): the base;
             thrust (N), thrust_rate (N/s, at the start of the last step, where it is largest): shape (n,);
+            tilt (rad), tilt_rate (rad/s): angles of the rotors about their hinges; tilt_rate_cmd (rad/s): what the
+            command asked of the servos at the start of the last step, beyond their limits or not; shape (m,), left out
+            if nothing tilts;
             p_WE (m), q_WE (wxyz), v_WE (m/s, in W): the tool, left out without one;
             f_tool_W: force of the environment on the tool, contact and disturbances, N;
             f_contact_W: the contact's part of it, normal force and friction, N.
@@ -283,6 +301,7 @@ class Plant:
             "w_B": data.qvel[v + 3 : v + 6].copy(),
             "thrust": self.thrust(),
             "thrust_rate": data.act_dot[self._thrusts],
+            **self.servos.truth(),
         }
         if self.tip.site >= 0:
             q_WE = np.zeros(4)

@@ -6,7 +6,8 @@ import numpy as np
 from aerotact.exceptions import RobotError
 from aerotact.plant.plant import Plant
 from aerotact.ports import Array
-from aerotact.robot import Quantity, Robot
+from aerotact.robot import Robot
+from aerotact.robot_file import ForceTorqueEntry, Quantity
 
 
 class Sensors:
@@ -15,7 +16,9 @@ class Sensors:
     Attributes:
         imu_rate: Hz.
         mocap_rate: Hz.
-        biases: constant errors drawn once from the seed: accelerometer_B (m/s2) and gyro_B (rad/s), shape (3,) each.
+        force_torque_rate: Hz, or None without that sensor.
+        biases: errors drawn once from the seed: accelerometer_B (m/s2) and gyro_B (rad/s), constant, and of a
+            force/torque sensor f_sensor_S (N), which walks, and tau_sensor_S (N m); shape (3,) each.
     """
 
     def __init__(self, plant: Plant, robot: Robot, seed: int) -> None:
@@ -27,8 +30,8 @@ class Sensors:
             seed: of all noise; equal seeds and equal calls give equal samples.
 
         Raises:
-            RobotError: plant.xml has no accelerometer or gyro at the IMU's site, or a noise is negative, of the wrong
-                unit, or not one or three numbers.
+            RobotError: plant.xml lacks a sensor at the site that robot.toml names, a noise is negative, of the wrong
+                unit, or not one or three numbers, or rotors tilt and no encoder measures it.
         """
         self._plant = plant
         self._file = robot.folder / "robot.toml"
@@ -47,6 +50,7 @@ class Sensors:
             "gyro_B": self._level("imu.gyro_bias", imu.gyro_bias, "rad/s") * self._normal(),
         }
         model = plant.model
+        self._tilt_noise = self._encoder_noise(robot)
         R_BI = np.zeros(9)
         mujoco.mju_quat2Mat(R_BI, model.site_quat[plant.imu_id])
         if model.site_bodyid[plant.imu_id] != plant.base_id:
@@ -57,8 +61,31 @@ class Sensors:
                 f"put it into body '{robot.file.robot.base}'",
             )
         self._R_BI = R_BI.reshape(3, 3)
-        self._accelerometer = self._address(robot, mujoco.mjtSensor.mjSENS_ACCELEROMETER, "accelerometer")
-        self._gyro = self._address(robot, mujoco.mjtSensor.mjSENS_GYRO, "gyro")
+        kinds, imu_site = mujoco.mjtSensor, robot.file.robot.imu
+        self._accelerometer = self._address(robot, kinds.mjSENS_ACCELEROMETER, "accelerometer", imu_site)
+        self._gyro = self._address(robot, kinds.mjSENS_GYRO, "gyro", imu_site)
+        self.force_torque_rate: float | None = None
+        if entries.force_torque is not None:
+            self._begin_force_torque(robot, entries.force_torque)
+
+    def _encoder_noise(self, robot: Robot) -> Array:
+        entry = robot.file.sensors.tilt_encoder
+        if (entry is None) == bool(robot.tilts):
+            fault = f"{len(robot.tilts)} rotors tilt, and there is {'no' if entry is None else 'an'} encoder"
+            remedy = "give sensors.tilt_encoder if rotors tilt, and only then"
+            raise RobotError(self._file, "sensors.tilt_encoder", fault, remedy)
+        return np.zeros(()) if entry is None else self._level("tilt_encoder.angle_noise", entry.angle_noise, "rad")
+
+    def _begin_force_torque(self, robot: Robot, entry: ForceTorqueEntry) -> None:
+        part, kinds = "force_torque", mujoco.mjtSensor
+        self.force_torque_rate = entry.rate
+        self._force_noise = self._level(f"{part}.force_noise", entry.force_noise, "N")
+        self._torque_noise = self._level(f"{part}.torque_noise", entry.torque_noise, "N m")
+        self._drift = self._level(f"{part}.drift", entry.drift, "N/sqrt(s)") / np.sqrt(entry.rate)
+        self._force = self._address(robot, kinds.mjSENS_FORCE, "force", entry.site)
+        self._torque = self._address(robot, kinds.mjSENS_TORQUE, "torque", entry.site)
+        self.biases["f_sensor_S"] = self._level(f"{part}.force_bias", entry.force_bias, "N") * self._normal()
+        self.biases["tau_sensor_S"] = self._level(f"{part}.torque_bias", entry.torque_bias, "N m") * self._normal()
 
     def _normal(self) -> Array:
         return self._rng.normal(size=3)
@@ -74,12 +101,12 @@ class Sensors:
             )
         return level
 
-    def _address(self, robot: Robot, kind: mujoco.mjtSensor, label: str) -> slice:
-        """Where the sensor of this kind at the IMU's site lies in sensordata."""
-        model, site = self._plant.model, self._plant.imu_id
+    def _address(self, robot: Robot, kind: mujoco.mjtSensor, label: str, name: str) -> slice:
+        """Where the sensor of this kind at the site of this name lies in sensordata."""
+        model = self._plant.model
+        site = model.site(name).id
         found = np.flatnonzero((model.sensor_type == kind) & (model.sensor_objid == site))
         if found.size == 0:
-            name = robot.file.robot.imu
             raise RobotError(
                 robot.folder / "plant.xml", "sensor", f"no {label} at site '{name}'", f'add <{label} site="{name}"/>'
             )
@@ -125,3 +152,31 @@ class Sensors:
         """
         thrust = self._plant.thrust()
         return {"thrust_measured": thrust + self._thrust_noise * self._rng.normal(size=thrust.size)}
+
+    def tilt_encoder(self) -> dict[str, Array]:
+        """One sample of the tilt servos' encoders; nothing if nothing tilts.
+
+        Returns:
+            tilt_measured: angle of each servo's shaft with noise, rad, shape (m,), in the order of `robot.tilts`; play
+                and zero error between shaft and rotor are not seen.
+        """
+        shaft = self._plant.servos.shaft()
+        if not shaft.size:
+            return {}
+        return {"tilt_measured": shaft + self._tilt_noise * self._rng.normal(size=shaft.size)}
+
+    def force_torque(self) -> dict[str, Array]:
+        """One sample of the force/torque sensor, as it was over the last step; nothing if there is none.
+
+        Returns:
+            f_sensor_S (N), tau_sensor_S (N m, about the sensor's site): what the robot exerts through the sensor on
+            what the sensor carries, in the site's axes. At rest that is the force of the tool on the environment minus
+            the tool's weight (a vector that points down), plus bias and noise.
+        """
+        if self.force_torque_rate is None:
+            return {}
+        self.biases["f_sensor_S"] = self.biases["f_sensor_S"] + self._drift * self._normal()
+        data = self._plant.data.sensordata
+        force = data[self._force] + self.biases["f_sensor_S"] + self._force_noise * self._normal()
+        torque = data[self._torque] + self.biases["tau_sensor_S"] + self._torque_noise * self._normal()
+        return {"f_sensor_S": force, "tau_sensor_S": torque}
