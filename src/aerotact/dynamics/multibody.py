@@ -241,9 +241,8 @@ class Multibody(Model):
         torque -= ca.DM(self.bearing_damping) * s["joint_rate"]
         forces = ca.vertcat(f_B + ca.mtimes(R_WB.T, d["f_ext_W"]), tau_B + d["tau_ext_B"], torque)
         forces += self.tool_force_torques(x, p)
-        D, L, order = ca.ldl(self.bodies.mass_matrix(s["joint"]))
         c = self.bodies.velocity_forces(s["joint"], s["w_B"], s["joint_rate"])
-        nu = ca.ldl_solve(forces - c, D, L, order)
+        nu = solve_from_the_leaves(self.bodies.mass_matrix(s["joint"]), forces - c)
         a_WB = ca.mtimes(R_WB, nu[0:3]) - ca.DM([0, 0, self.robot.gravity])
         return a_WB, nu[3:6], nu[6:]
 
@@ -330,3 +329,10 @@ class Multibody(Model):
         s = self.state.split(x)
         frame = self.bodies.site(site, s["joint"])
         return s["p_WB"] + ca.mtimes(so3.rotation(s["q_WB"]), frame.p_BS), so3.product(s["q_WB"], frame.q_BS)
+
+
+def solve_from_the_leaves(M: Any, b: Any) -> Any:
+    """M^-1 b, with the joints farthest from the base eliminated first: no fill-in between branches of the tree."""
+    order = list(range(b.shape[0]))[::-1]
+    D, L, permutation = ca.ldl(M[order, order], False)
+    return ca.ldl_solve(b[order], D, L, permutation)[order]
