@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from aerotact.dynamics.model import Model
+from aerotact.dynamics.model_of import model_of
 from aerotact.dynamics.rotors import allocation, wrench_jacobian, wrench_rank
 from aerotact.estimation import estimators
 from aerotact.exceptions import AerotactError, RobotError
@@ -209,7 +209,7 @@ def _disagreement(robot: Robot, rng: np.random.Generator) -> float:
     The model holds that a servo turns its rotor without a reaction on the body, and lumps the mass of all bodies as
     they stand in hover. So MuJoCo's hinges are held at rest, and its rotors push from their tilted places on the lump.
     """
-    model, mj = Model(robot), robot.mjmodel
+    model, mj = model_of(robot), robot.mjmodel
     data, tilted, f = _at(robot), _at(robot), model.function
     base = mj.body_jntadr[robot.base_id]
     q, v = mj.jnt_qposadr[base], mj.jnt_dofadr[base]
@@ -282,7 +282,7 @@ def _wrench_at_base(robot: Robot, q_WB: Array, f_W: Array, tau_B: Array) -> Arra
 
 def _fits(robot: Robot) -> tuple[list[str], list[str], list[str]]:
     """What can be built for the robot, by name, why other things cannot, and which gains are wrong."""
-    model, rate = Model(robot), robot.file.sensors.imu.rate
+    model, rate = model_of(robot), robot.file.sensors.imu.rate
     blocks, problems = laws() | estimators(), problem_files()
     fits: list[str] = []
     misfits: list[str] = []

@@ -135,13 +135,13 @@ def generate(
     Examples: `aerotact generate ocp/my_problem.toml --robot models/my_robot -o my_mpc`,
     `aerotact generate ryll2019_admittance --robot models/my_robot --rate 250 -o my_law`
     """
-    from aerotact.dynamics.model import Model
+    from aerotact.dynamics.model_of import model_of
     from aerotact.flight import controller_project
     from aerotact.robot import load_robot
 
     if rate is not None and not 1.0 <= rate <= 1e5:
         raise InputError(f"--rate is {rate:g} Hz; valid: 1 to 100000 Hz")
-    project = controller_project(name, Model(load_robot(robot)), rate)
+    project = controller_project(name, model_of(load_robot(robot)), rate)
     if rate is not None and abs(project.manifest["rate_hz"] - rate) > 1e-9:
         raise InputError(
             f"--rate is {rate:g} Hz, but '{name}' runs at {project.manifest['rate_hz']:g} Hz, set in its ocp file"

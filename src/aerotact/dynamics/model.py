@@ -20,7 +20,10 @@ from aerotact.ports import Array, Layout, Port
 from aerotact.robot import HOVER_KEYFRAME, Robot
 
 CAPABILITIES = {
+    "arm": "joints carry a tool",
     "fixed_rotors": "no rotor tilts",
+    "passive_joint": "there is a joint that nothing drives",
+    "rigid_body": "no joints, but for tilting rotors",
     "six_axis_wrench": "force and torque can be changed in all six directions at hover",
     "tilt": "rotors tilt",
     "tool": "a tool is named",
@@ -97,7 +100,7 @@ class Model:
     @cached_property
     def capabilities(self) -> frozenset[str]:
         """What laws and OCPs may need, of CAPABILITIES."""
-        found = {"tilt" if self.tilts else "fixed_rotors"}
+        found = {"rigid_body", "tilt" if self.tilts else "fixed_rotors"}
         if wrench_rank(self.robot) == 6:
             found.add("six_axis_wrench")
         if self.robot.has_tool:

@@ -47,6 +47,15 @@ class Multibody(Model):
                 Port("w_B", 3, "rad/s", "B", "angular velocity of the base"),
                 Port("joint", self.joints, "rad", "", "joint angles", default=tuple(self.hover_joint)),
                 Port("joint_rate", self.joints, "rad/s", "", "rates of the joint angles"),
+                *self.actuators,
+            ]
+        )
+
+    @cached_property
+    def actuators(self) -> Layout:
+        """Layout of the part of x that the controls integrate."""
+        return Layout(
+            [
                 Port("servo", self.servos, "rad", "", "actual servo angles", default=tuple(self.hover_servo)),
                 Port("thrust", self.rotors, "N", "", "actual thrusts", default=tuple(self.robot.hover_thrust)),
             ]
@@ -136,7 +145,7 @@ class Multibody(Model):
 
     @cached_property
     def capabilities(self) -> frozenset[str]:
-        """What laws and OCPs may need: arm, passive_joint, tool, six_axis_wrench; never rigid_body."""
+        """What laws and OCPs may need, of CAPABILITIES; never rigid_body."""
         found = set(super().capabilities) - {"rigid_body"}
         if self.robot.arms:
             found.add("arm")
@@ -189,6 +198,11 @@ class Multibody(Model):
         return np.array([j.time_constant for j in self.compliant])
 
     @cached_property
+    def actuator_time_constants(self) -> Array:
+        """Lags in the order of the controls, s, shape (s + n,)."""
+        return np.concatenate([self.servo_time_constants, self.time_constants])
+
+    @cached_property
     def stiffness(self) -> Array:
         """Joint stiffnesses k, N m/rad."""
         return np.array([j.stiffness for j in self.compliant])
@@ -205,9 +219,9 @@ class Multibody(Model):
 
     # equations
 
-    def rotor_wrench(self, thrust: Any) -> tuple[Any, Any]:
-        """Force, N, and torque about the base's origin, N m, of the rotors, in B."""
-        force, torque = super().rotor_wrench(thrust)
+    def rotor_wrench(self, thrust: Any, tilt: Any = None) -> tuple[Any, Any]:
+        """Force, N, and torque about the base's origin (the centre of mass moves), N m, of the rotors, in B."""
+        force, torque = super().rotor_wrench(thrust, tilt)
         return force, torque + ca.cross(ca.DM(self.robot.p_BC), force)
 
     def joint_torque(self, x: Any, u: Any) -> Any:
