@@ -31,8 +31,10 @@ class Runner:
         self.z = z.full().ravel()
         out = b.output.unpack(u.full())
         if b.limiter is not None:
-            z_limiter, command = b.limiter(self.z_limiter, out["thrust_cmd"], [], [])
-            self.z_limiter, out["thrust_cmd"] = z_limiter.full().ravel(), command.full().ravel()
+            size = b.limiter.size1_out(1)
+            z_limiter, command = b.limiter(self.z_limiter, u[:size], [], [])
+            self.z_limiter = z_limiter.full().ravel()
+            out = b.output.unpack(ca.vertcat(command, u[size:]).full())
         return out
 
 
@@ -61,14 +63,17 @@ class Flight:
         self.model = model
         self.x = model.hover_state.copy()
         self.f_W, self.tau_W = np.zeros(3), np.zeros(3)
-        x, c, w = ca.SX.sym("x", model.state.size), ca.SX.sym("c", model.rotors), ca.SX.sym("w", 6)
+        x, c, w = ca.SX.sym("x", model.state.size), ca.SX.sym("c", model.commands.size), ca.SX.sym("w", 6)
         self._step = ca.Function("step", [x, c, w], [_after(model, x, c, w, period)])
         said = _signals(model, x, w)
         self._names = list(said)
         self._signals = ca.Function("signals", [x, w], list(said.values()))
 
-    def step(self, thrust_cmd: ArrayLike) -> None:
-        self.x = self._step(self.x, np.asarray(thrust_cmd), self._wrench).full().ravel()
+    def step(self, thrust_cmd: ArrayLike, tilt_cmd: ArrayLike | None = None) -> None:
+        """One period under commands; tilts are told to stay as in hover if they are told nothing."""
+        tilt = self.model.robot.hover_tilt if tilt_cmd is None else tilt_cmd
+        command = np.concatenate([np.asarray(thrust_cmd), np.asarray(tilt)])
+        self.x = self._step(self.x, command, self._wrench).full().ravel()
 
     def signals(self) -> dict[str, Array]:
         """What perfect sensors would say, the tool's pose, and the true wrench about the centre of mass, `truth`."""
@@ -101,8 +106,8 @@ class ClosedLoop:
         told = alter(said) if alter else said
         z_law, out = law.step(z[2], _vector(law.measurement, told), r, ca.DM(law.parameters.default))
         said |= law.output.split(out)
-        z_limiter, command = law.limiter(z[3], said["thrust_cmd"], ca.DM(0, 1), ca.DM(0, 1))
-        said["thrust_cmd"] = command
+        z_limiter, command = law.limiter(z[3], out[: model.commands.size], ca.DM(0, 1), ca.DM(0, 1))
+        said |= model.commands.split(command)
         x_next = _after(model, z[0], command, w, 1 / law.rate)
         self._start = np.concatenate([layout.default for layout in layouts])
         self._names = {n: int(v.shape[0]) for n, v in said.items()}
@@ -123,11 +128,10 @@ class ClosedLoop:
 
 def _after(model: Model, x: Any, command: Any, wrench: Any, period: float, substeps: int = 2) -> Any:
     """x after a command held for `period` seconds with the wrench at the tip, (6,) in W."""
-    tau, h = ca.DM(model.time_constants), period / substeps
+    h = period / substeps
 
     def slope(x: Any) -> Any:
-        rate = (command - model.state.split(x)["thrust"]) / tau
-        return model.derivative(x, rate, _about_com(model, x, wrench))
+        return model.derivative(x, model.rates(x, command), _about_com(model, x, wrench))
 
     for _ in range(substeps):
         k1 = slope(x)
@@ -153,7 +157,8 @@ def _signals(model: Model, x: Any, wrench: Any) -> dict[str, Any]:
     force = ca.mtimes(so3.rotation(s["q_WB"]).T, a_WB + ca.DM([0, 0, robot.gravity]))
     force += ca.cross(dw, p_BI) + ca.cross(w, ca.cross(w, p_BI))
     p_WE, q_WE = model.tool_pose(x)
-    return {**s, "thrust_measured": s["thrust"], "specific_force_B": force, "p_WE": p_WE, "q_WE": q_WE, "truth": p}
+    measured = {f"{port.name}_measured": s[port.name] for port in model.actuators}
+    return {**s, **measured, "specific_force_B": force, "p_WE": p_WE, "q_WE": q_WE, "truth": p}
 
 
 def _vector(layout: Layout, said: dict[str, Any]) -> Any:
@@ -172,14 +177,14 @@ def random_unit(rng: np.random.Generator) -> Array:
 
 
 def random_state(model: Model, rng: np.random.Generator) -> Array:
-    """A random x with thrusts within the rotors' range."""
-    lower, upper = model.thrust_limits
+    """A random x with thrusts and tilts within their range."""
+    limits = {"thrust": model.thrust_limits, "tilt": model.tilt_limits}
     return model.state.pack(
         {
             "p_WB": rng.normal(size=3),
             "q_WB": random_unit(rng),
             "v_WB": rng.normal(size=3),
             "w_B": rng.normal(size=3),
-            "thrust": rng.uniform(lower, upper),
+            **{port.name: rng.uniform(*limits[port.name]) for port in model.actuators},
         }
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 import pytest
 from native import PLAIN, SANITIZED, run
 
@@ -46,13 +47,18 @@ def _harness(block: Block, model: Model, share: tuple[float, ...], steps: int, *
     template = jinja2.Environment(
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     ).from_string((Path(__file__).parent / "hostile.c.jinja").read_text())
-    rotors = model.rotors if block.limiter is not None else 0
-    lower, upper = model.thrust_limits
-    rate_lower, rate_upper = model.thrust_rate_limits
+    limited = block.limiter is not None
+    # In the order of the commands: thrusts, tilts.
+    lower, upper = (np.concatenate(v) for v in zip(model.thrust_limits, model.tilt_limits, strict=True))
+    rate_lower, rate_upper = (
+        np.concatenate(v) for v in zip(model.thrust_rate_limits, model.tilt_rate_limits, strict=True)
+    )
     limits = {
         **{"lower": lower, "upper": upper, "rate_lower": rate_lower, "rate_upper": rate_upper},
-        **{"lag": model.time_constants, "hover": model.robot.hover_thrust},
+        "lag": np.concatenate([model.time_constants, model.tilt_time_constants]),
+        "hover": model.commands.default,
     }
+    modelled = [*range(model.tilts, model.actuators.size), *range(model.tilts)]
     assert sum(share) == pytest.approx(1.0)
     at_hover = {"p_WB": model.state.unpack(model.hover_state)["p_WB"]}
     measurement = block.measurement.with_defaults({k: v for k, v in at_hover.items() if k in block.measurement})
@@ -60,7 +66,8 @@ def _harness(block: Block, model: Model, share: tuple[float, ...], steps: int, *
         name=block.name,
         NAME=block.name.upper(),
         groups=[_group(layout) for layout in (measurement, block.reference, block.parameters)],
-        rotors=rotors,
+        commands=model.commands.size if limited else 0,
+        modelled=modelled,
         limits={key: [number(float(v)) for v in values] for key, values in limits.items()},
         share=[number(s) for s in share],
         seed=20190815,
@@ -68,7 +75,7 @@ def _harness(block: Block, model: Model, share: tuple[float, ...], steps: int, *
         phase=PHASE,
         state_size=block.state.size,
         output_size=block.output.size,
-        limited=rotors > 0,
+        limited=limited,
         limiter_size=block.limiter_state.size,
         mpc=mpc,
     )

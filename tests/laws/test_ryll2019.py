@@ -32,6 +32,12 @@ GAINS = {"K_p1": 8.0, "K_p2": 16.0, "K_R1": 20.0, "K_R2": 100.0}
 OBSERVER = {"L": 10.0, "K_I": 10.0, "low_pass": 20.0}
 
 
+@pytest.fixture(scope="module", params=["octorotor", "tilt_hex"])
+def model(request: pytest.FixtureRequest, models: dict[str, Model]) -> Model:
+    """Robots whose rotors are fixed, as this law needs them."""
+    return models[request.param]
+
+
 def _base(x: Array, model: Model, a_WB: Array | None = None, dw_B: Array | None = None) -> BaseMotion:
     s = model.state.unpack(x)
     rest = [None if v is None else ca.DM(v) for v in (a_WB, dw_B)]

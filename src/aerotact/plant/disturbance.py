@@ -1,11 +1,13 @@
 """Disturbance: what acts on the plant and what no controller is told of."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from aerotact.exceptions import InputError
+from aerotact.ports import Array
 
 if TYPE_CHECKING:
     from aerotact.plant.plant import Plant
@@ -29,14 +31,13 @@ class Disturbance(Protocol):
 
 
 @dataclass(frozen=True)
-class ToolForce:
-    """A force with a constant direction in W at a point of the tool, like a cable that pulls (ryll2019 Figure 6a).
+class ForcePulse:
+    """A force with a constant direction in W for a while.
 
     Attributes:
         force_W: N, in W.
         start: time at which it begins, s.
         stop: time at which it has ended, s.
-        offset_E: point of attack in E, m; zero is the tool's tip.
         ramp: time in which it grows linearly after `start` and falls linearly before `stop`, s.
 
     Raises:
@@ -47,19 +48,16 @@ class ToolForce:
     force_W: tuple[float, float, float]
     start: float
     stop: float
-    offset_E: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    ramp: float = 0.0
+    ramp: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("force_W", "offset_E"):
-            value = np.asarray(getattr(self, name), dtype=float)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise InputError(f"ToolForce: {name} is {value.tolist()}; valid: three finite numbers")
+        who = type(self).__name__
+        check_vector(f"{who}: force_W", self.force_W)
         if not 0.0 <= self.start < self.stop:
-            raise InputError(f"ToolForce: start {self.start} s and stop {self.stop} s; valid: 0 <= start < stop")
+            raise InputError(f"{who}: start {self.start} s and stop {self.stop} s; valid: 0 <= start < stop")
         if not 0.0 <= self.ramp <= 0.5 * (self.stop - self.start):
             raise InputError(
-                f"ToolForce: ramp is {self.ramp} s; valid: 0 to half of stop - start = {self.stop - self.start:g} s"
+                f"{who}: ramp is {self.ramp} s; valid: 0 to half of stop - start = {self.stop - self.start:g} s"
             )
 
     def share(self, time: float) -> float:
@@ -69,6 +67,24 @@ class ToolForce:
         if self.ramp == 0.0:
             return 1.0
         return max(0.0, min(1.0, (time - self.start) / self.ramp, (self.stop - time) / self.ramp))
+
+    def begin(self, plant: "Plant") -> None:
+        """Join a plant."""
+
+
+@dataclass(frozen=True)
+class ToolForce(ForcePulse):
+    """A force at a point of the tool, like a cable that pulls (ryll2019 Figure 6a).
+
+    Attributes:
+        offset_E: point of attack in E, m; zero is the tool's tip.
+    """
+
+    offset_E: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_vector("ToolForce: offset_E", self.offset_E)
 
     def begin(self, plant: "Plant") -> None:
         """Join a plant.
@@ -84,3 +100,65 @@ class ToolForce:
         share = self.share(plant.time)
         if share > 0.0:
             plant.push_tool(share * np.asarray(self.force_W), offset_E=np.asarray(self.offset_E))
+
+
+@dataclass(frozen=True)
+class Wind(ForcePulse):
+    """A steady wind or a gust: a force at the robot's centre of mass."""
+
+    def apply(self, plant: "Plant") -> None:
+        """Act for one step."""
+        share = self.share(plant.time)
+        if share > 0.0:
+            plant.push(plant.base_id, share * np.asarray(self.force_W), plant.data.subtree_com[plant.base_id])
+
+
+@dataclass
+class WrenchNoise:
+    """Band-limited noise on the wrench, like that of propellers in their own wake and of turbulence.
+
+    Force and torque are first-order Gauss-Markov processes in B's axes about the centre of mass, from `plant.rng`.
+
+    Attributes:
+        force: standard deviation of each component, N.
+        torque: same, N m.
+        bandwidth: Hz, of the first-order low-pass behind the noise.
+
+    Raises:
+        InputError: a deviation below zero, a bandwidth that is not above zero.
+    """
+
+    force: float
+    torque: float
+    bandwidth: float = 2.0
+    _level: Array = field(default_factory=lambda: np.zeros(6), init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not (self.force >= 0.0 and self.torque >= 0.0 and 0.0 < self.bandwidth < np.inf):
+            raise InputError(
+                f"WrenchNoise: force {self.force} N, torque {self.torque} N m, bandwidth {self.bandwidth} Hz; "
+                "valid: >= 0, >= 0 and > 0"
+            )
+
+    def begin(self, plant: "Plant") -> None:
+        """Join a plant."""
+
+    def apply(self, plant: "Plant") -> None:
+        """Act for one step."""
+        fresh = plant.rng.normal(size=6)
+        kept = np.exp(-2 * np.pi * self.bandwidth * plant.timestep) if plant.time > _TICK else 0.0
+        self._level = kept * self._level + np.sqrt(1 - kept**2) * fresh
+        R_WB = plant.data.xmat[plant.base_id].reshape(3, 3)
+        force, torque = self.force * self._level[:3], self.torque * self._level[3:]
+        plant.push(plant.base_id, R_WB @ force, plant.data.subtree_com[plant.base_id], R_WB @ torque)
+
+
+def check_vector(what: str, value: ArrayLike) -> None:
+    """Three finite numbers.
+
+    Raises:
+        InputError: names `what`.
+    """
+    array = np.asarray(value, dtype=float)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{what} is {array.tolist()}; valid: three finite numbers")
