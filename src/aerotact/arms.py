@@ -172,9 +172,9 @@ def _compliant_joint(model: Any, joint: int, name: str, rate: float, key: int, f
     gain, bias = model.actuator_gainprm[index], model.actuator_biasprm[index]
     sound = model.actuator_gaintype[index] == mujoco.mjtGain.mjGAIN_FIXED
     sound &= model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
-    if not sound or gain[0] <= 0 or bias[0] != 0 or bias[1] != -gain[0] or bias[2] > 0:
+    if not sound or gain[0] <= 0 or bias[0] != 0 or bias[1] != -gain[0]:
         raise RobotError(
-            plant, part, "is no spring and damper", 'use gainprm="k", biastype="affine", biasprm="0 -k -d", k > 0, d >= 0'
+            plant, part, "is no spring and damper", 'use gainprm="k", biastype="affine", biasprm="0 -k -d", k > 0'
         )
     if model.actuator_gear[index, 0] != 1.0:
         raise RobotError(plant, part, f"gear is {model.actuator_gear[index, 0]:g}", "leave the gear out")

@@ -28,7 +28,7 @@ ORDER = (
     ("log", "loop", "metrics", "plots"),
     ("experiments",),
     ("flight",),
-    ("check", "compare", "report", "sweep"),
+    ("check_joints", "check", "compare", "report", "sweep"),
     ("bench",),
     ("terminal", "cli", "__main__"),
 )
