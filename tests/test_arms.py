@@ -59,6 +59,7 @@ SPOILT = {
     "two arms of one name": ("robot.toml", 'name = "right"', 'name = "left"', "arms[1].name"),
     "name that C cannot bear": ("robot.toml", 'name = "right"', 'name = "the right"', "arms.1.name"),
     "joint of both arms": ("robot.toml", '["arm_right_shoulder_pitch"', '["arm_left_shoulder_pitch"', "arms[1].joints[0]"),
+    "joint in no list": ("robot.toml", '[passive]\njoints = ["swing"]', "", "arms"),
     "rates of three joints": ("robot.toml", "[7.1, 7.1, 6.3, 7.1]", "[7.1, 7.1, 6.3]", "arms[0].servo_rate"),
     "rate in degrees": ("robot.toml", 'unit = "rad/s", source = "data', 'unit = "deg/s", source = "data', "arms[0].servo_rate"),
     "tool of the other arm": ("robot.toml", 'name = "right"\ntool = "arm_right', 'name = "right"\ntool = "arm_left', "arms[1].tool"),

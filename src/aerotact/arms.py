@@ -142,6 +142,32 @@ def load_passive(entry: PassiveEntry | None, model: Any, folder: Path) -> tuple[
     return tuple(joints)
 
 
+def check_listing(arms: Sequence[Arm], passive: Sequence[PassiveJoint], model: Any, bodies: list[int], folder: Path) -> None:
+    """See that a robot with arms or passive joints lists all its joints but the free one.
+
+    Args:
+        arms: of the robot.
+        passive: of the robot.
+        model: compiled plant.xml.
+        bodies: of the robot.
+        folder: of the robot.
+
+    Raises:
+        RobotError: names the first joint that stands in no list, or in two.
+    """
+    listed = [joint.name for joint in passive] + [joint.name for arm in arms for joint in arm.joints]
+    for index in range(model.njnt) if listed else ():
+        name = model.joint(index).name
+        if model.jnt_bodyid[index] in bodies and model.jnt_type[index] != mujoco.mjtJoint.mjJNT_FREE:
+            if listed.count(name) != 1:
+                raise RobotError(
+                    folder / "robot.toml",
+                    "arms",
+                    f"joint '{name}' of plant.xml stands in {listed.count(name)} lists",
+                    "list each joint once, under arms if a servo drives it, under passive if nothing does",
+                )
+
+
 def _hinge(model: Any, name: str, part: str, folder: Path, taken: set[str]) -> int:
     index = find_id(model, _OBJ.mjOBJ_JOINT, name, part, folder)
     if model.jnt_type[index] != mujoco.mjtJoint.mjJNT_HINGE:

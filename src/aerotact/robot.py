@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from aerotact.arms import Arm, PassiveJoint, load_arms, load_passive
+from aerotact.arms import Arm, PassiveJoint, check_listing, load_arms, load_passive
 from aerotact.exceptions import RobotError
 from aerotact.plant_file import compile_plant, find_id, joints_between, lumped, subtree
 from aerotact.ports import Array
@@ -337,6 +337,10 @@ def load_robot(name_or_path: str | Path) -> Robot:
         R_BE = R_WB.T @ data.site_xmat[site].reshape(3, 3)
     imu = find_id(model, _OBJ.mjOBJ_SITE, file.robot.imu, "robot.imu", folder)
     sensor = file.sensors.force_torque
+    arms = load_arms(file.arms, model, model.key(HOVER_KEYFRAME).id, folder)
+    passive = load_passive(file.passive, model, folder)
+    if not hinges:
+        check_listing(arms, passive, model, bodies, folder)
     return Robot(
         folder=folder,
         file=file,
@@ -354,8 +358,8 @@ def load_robot(name_or_path: str | Path) -> Robot:
         hover_thrust=hover_thrust,
         hover_tilt=hover_tilt,
         force_torque=None if sensor is None else _force_torque(sensor.site, model, data, base, folder),
-        arms=load_arms(file.arms, model, model.key(HOVER_KEYFRAME).id, folder),
-        passive=load_passive(file.passive, model, folder),
+        arms=arms,
+        passive=passive,
     )
 
 
