@@ -58,23 +58,63 @@ SPOILT = {
     "unknown joint": ("robot.toml", '"arm_left_shoulder_roll", ', '"left_roll", ', "arms[0].joints[1]"),
     "two arms of one name": ("robot.toml", 'name = "right"', 'name = "left"', "arms[1].name"),
     "name that C cannot bear": ("robot.toml", 'name = "right"', 'name = "the right"', "arms.1.name"),
-    "joint of both arms": ("robot.toml", '["arm_right_shoulder_pitch"', '["arm_left_shoulder_pitch"', "arms[1].joints[0]"),
+    "joint of both arms": (
+        "robot.toml",
+        '["arm_right_shoulder_pitch"',
+        '["arm_left_shoulder_pitch"',
+        "arms[1].joints[0]",
+    ),
     "joint in no list": ("robot.toml", '[passive]\njoints = ["swing"]', "", "arms"),
     "rates of three joints": ("robot.toml", "[7.1, 7.1, 6.3, 7.1]", "[7.1, 7.1, 6.3]", "arms[0].servo_rate"),
-    "rate in degrees": ("robot.toml", 'unit = "rad/s", source = "data', 'unit = "deg/s", source = "data', "arms[0].servo_rate"),
-    "tool of the other arm": ("robot.toml", 'name = "right"\ntool = "arm_right', 'name = "right"\ntool = "arm_left', "arms[1].tool"),
+    "rate in degrees": (
+        "robot.toml",
+        'unit = "rad/s", source = "data',
+        'unit = "deg/s", source = "data',
+        "arms[0].servo_rate",
+    ),
+    "tool of the other arm": (
+        "robot.toml",
+        'name = "right"\ntool = "arm_right',
+        'name = "right"\ntool = "arm_left',
+        "arms[1].tool",
+    ),
     "free joint": ("robot.toml", '["swing"]', '["base_free"]', "joint 'base_free'"),
     "passive joint that is driven": ("robot.toml", '["swing"]', '["arm_left_elbow_pitch"]', "passive.joints[0]"),
     "passive joint twice": ("robot.toml", '["swing"]\n\n', '["swing", "swing"]\n\n', "passive.joints[1]"),
-    "servo without lag": ("parts", 'dyntype="filterexact" dynprm="0.05"', 'dyntype="filterexact" dynprm="0"', "actuator 'arm_left_shoulder_pitch'"),
-    "bias that is no spring": ("parts", SERVO, 'gainprm="2.93" biasprm="0 -2 -0.07"', "actuator 'arm_left_shoulder_pitch'"),
+    "servo without lag": (
+        "parts",
+        'dyntype="filterexact" dynprm="0.05"',
+        'dyntype="filterexact" dynprm="0"',
+        "actuator 'arm_left_shoulder_pitch'",
+    ),
+    "bias that is no spring": (
+        "parts",
+        SERVO,
+        'gainprm="2.93" biasprm="0 -2 -0.07"',
+        "actuator 'arm_left_shoulder_pitch'",
+    ),
     "no stall torque": ("parts", ' forcerange="-2.34 2.34"', "", "actuator 'arm_left_shoulder_pitch'"),
     "stall torque one way": ("parts", 'forcerange="-2.34', 'forcerange="0', "actuator 'arm_left_shoulder_pitch'"),
-    "no range": ("parts", '<joint axis="0 1 0" range="-90 90"/>', '<joint axis="0 1 0"/>', "actuator 'arm_left_shoulder_pitch'"),
-    "gear": ("parts", f'joint="left_shoulder_pitch" {PITCH}', f'joint="left_shoulder_pitch" gear="2" {PITCH}', "actuator 'arm_left_shoulder_pitch'"),
-    "joint without a servo": ("parts", f'<general name="left_shoulder_pitch" joint="left_shoulder_pitch" {PITCH}/>', "", None),
+    "no range": (
+        "parts",
+        '<joint axis="0 1 0" range="-90 90"/>',
+        '<joint axis="0 1 0"/>',
+        "actuator 'arm_left_shoulder_pitch'",
+    ),
+    "gear": (
+        "parts",
+        f'joint="left_shoulder_pitch" {PITCH}',
+        f'joint="left_shoulder_pitch" gear="2" {PITCH}',
+        "actuator 'arm_left_shoulder_pitch'",
+    ),
+    "joint without a servo": (
+        "parts",
+        f'<general name="left_shoulder_pitch" joint="left_shoulder_pitch" {PITCH}/>',
+        "",
+        None,
+    ),
     "hover without activation": ("plant.xml", "-0.03594486", "-0.03", "hover keyframe"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", SPOILT)

@@ -11,22 +11,80 @@ from aerotact.check import check_robot
 MODELS = Path(__file__).parents[1] / "models"
 LONG = "dual_arm_long_reach"
 LOADS, TRIM, LIFT = "loads without a MuJoCo warning", "hover keyframe is exact trim", "rotors lift and turn the base"
-AGREE, LIMITS, SENSORS = "CasADi accelerations equal MuJoCo's", "limits are consistent", "sensors are there and their rates fit"
+AGREE, LIMITS, SENSORS = (
+    "CasADi accelerations equal MuJoCo's",
+    "limits are consistent",
+    "sensors are there and their rates fit",
+)
 
 SPOILT = {
     # name: (file, old text, new text, item that fails, what its text names)
-    "arm not listed": (f"{LONG}/robot.toml", r'(?s)\[\[arms\]\]\nname = "right".*?\n\n', "", LOADS, ("'arm_right_shoulder_pitch'", "0 lists")),
-    "passive joint not listed": (f"{LONG}/robot.toml", r'\[passive\]\njoints = \["swing"\]', "", LOADS, ("'swing'", "under passive")),
-    "friction of a joint": ("parts/dual_arm.xml", r'<joint axis="0 1 0" range="-90 90"/>', '<joint axis="0 1 0" range="-90 90" frictionloss="0.1"/>', AGREE, ("leave out",)),
-    "spring of the pendulum": (f"{LONG}/plant.xml", r'damping="0.02"', 'damping="0.02" stiffness="1"', TRIM, ("balance the passive joints",)),
-    "heavier forearm": ("parts/dual_arm.xml", r'mass="0.10" diaginertia="5.13', 'mass="0.11" diaginertia="5.13', TRIM, ("set ctrl and act",)),
+    "arm not listed": (
+        f"{LONG}/robot.toml",
+        r'(?s)\[\[arms\]\]\nname = "right".*?\n\n',
+        "",
+        LOADS,
+        ("'arm_right_shoulder_pitch'", "0 lists"),
+    ),
+    "passive joint not listed": (
+        f"{LONG}/robot.toml",
+        r'\[passive\]\njoints = \["swing"\]',
+        "",
+        LOADS,
+        ("'swing'", "under passive"),
+    ),
+    "friction of a joint": (
+        "parts/dual_arm.xml",
+        r'<joint axis="0 1 0" range="-90 90"/>',
+        '<joint axis="0 1 0" range="-90 90" frictionloss="0.1"/>',
+        AGREE,
+        ("leave out",),
+    ),
+    "spring of the pendulum": (
+        f"{LONG}/plant.xml",
+        r'damping="0.02"',
+        'damping="0.02" stiffness="1"',
+        TRIM,
+        ("balance the passive joints",),
+    ),
+    "heavier forearm": (
+        "parts/dual_arm.xml",
+        r'mass="0.10" diaginertia="5.13',
+        'mass="0.11" diaginertia="5.13',
+        TRIM,
+        ("set ctrl and act",),
+    ),
     "drag of one sign": ("parts/hexarotor.xml", r'0 -0.016"', '0 0.016"', LIFT, ("rank 3", "both ways")),
-    "rotors in a row": ("parts/hexarotor_body.xml", r'(name="rotor\d" pos="\S+) \S+', r"\1 0", LIFT, ("rank 3", "around the base")),
-    "servo rate in deg/s": (f"{LONG}/robot.toml", r"\[7.1, 7.1, 6.3, 7.1\]", "[4e2, 4e2, 4e2, 1e4]", LIMITS, ("servo_rate", "shoulder_roll", "check its unit")),
-    "narrow servo": ("parts/dual_arm.xml", r'ctrlrange="-2.356194490192345', 'ctrlrange="-1.6', LIMITS, ("elbow_pitch", "widen")),
-    "weak servo": ("parts/dual_arm.xml", r'forcerange="-2.34 2.34"', 'forcerange="-0.1 0.1"', LIMITS, ("hover needs", "another pose")),
+    "rotors in a row": (
+        "parts/hexarotor_body.xml",
+        r'(name="rotor\d" pos="\S+) \S+',
+        r"\1 0",
+        LIFT,
+        ("rank 3", "around the base"),
+    ),
+    "servo rate in deg/s": (
+        f"{LONG}/robot.toml",
+        r"\[7.1, 7.1, 6.3, 7.1\]",
+        "[4e2, 4e2, 4e2, 1e4]",
+        LIMITS,
+        ("servo_rate", "shoulder_roll", "check its unit"),
+    ),
+    "narrow servo": (
+        "parts/dual_arm.xml",
+        r'ctrlrange="-2.356194490192345',
+        'ctrlrange="-1.6',
+        LIMITS,
+        ("elbow_pitch", "widen"),
+    ),
+    "weak servo": (
+        "parts/dual_arm.xml",
+        r'forcerange="-2.34 2.34"',
+        'forcerange="-0.1 0.1"',
+        LIMITS,
+        ("hover needs", "another pose"),
+    ),
     "encoder at 333 Hz": (f"{LONG}/robot.toml", r"rate = 200.0", "rate = 333.0", SENSORS, ("1000 Hz",)),
-}  # fmt: skip
+}
 
 
 def _failed(folder: Path) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Arms: series-elastic joints in chains that end in a tool, and joints that nothing drives, as compiled from plant.xml.
 
-A compliant joint is a hinge with one actuator whose activation is the servo's angle theta: k (theta - q) - d q_rate is its
-torque, and the servo lags its command (suarez2020 (15), (17)).
+A compliant joint is a hinge with one actuator whose activation is the servo's angle theta: its torque is
+k (theta - q) - d q_rate, and the servo lags its command (suarez2020 (15), (17)).
 """
 
 from collections.abc import Sequence
@@ -96,7 +96,8 @@ def load_arms(entries: Sequence[ArmEntry], model: Any, key: int, folder: Path) -
     Raises:
         RobotError: a part that is missing or of another kind; names file, part, fault and remedy.
     """
-    arms, taken = [], set[str]()
+    arms: list[Arm] = []
+    taken: set[str] = set()
     for number, entry in enumerate(entries):
         part = f"arms[{number}]"
         if entry.name in [arm.name for arm in arms]:
@@ -131,7 +132,8 @@ def load_passive(entry: PassiveEntry | None, model: Any, folder: Path) -> tuple[
     Raises:
         RobotError: a joint that is missing, no hinge, listed twice or driven.
     """
-    joints, taken = [], set[str]()
+    joints: list[PassiveJoint] = []
+    taken: set[str] = set()
     for place, name in enumerate(entry.joints if entry else ()):
         part = f"passive.joints[{place}]"
         index = _hinge(model, name, part, folder, taken)
@@ -142,7 +144,9 @@ def load_passive(entry: PassiveEntry | None, model: Any, folder: Path) -> tuple[
     return tuple(joints)
 
 
-def check_listing(arms: Sequence[Arm], passive: Sequence[PassiveJoint], model: Any, bodies: list[int], folder: Path) -> None:
+def check_listing(
+    arms: Sequence[Arm], passive: Sequence[PassiveJoint], model: Any, bodies: list[int], folder: Path
+) -> None:
     """See that a robot with arms or passive joints lists all its joints but the free one.
 
     Args:
@@ -158,14 +162,14 @@ def check_listing(arms: Sequence[Arm], passive: Sequence[PassiveJoint], model: A
     listed = [joint.name for joint in passive] + [joint.name for arm in arms for joint in arm.joints]
     for index in range(model.njnt) if listed else ():
         name = model.joint(index).name
-        if model.jnt_bodyid[index] in bodies and model.jnt_type[index] != mujoco.mjtJoint.mjJNT_FREE:
-            if listed.count(name) != 1:
-                raise RobotError(
-                    folder / "robot.toml",
-                    "arms",
-                    f"joint '{name}' of plant.xml stands in {listed.count(name)} lists",
-                    "list each joint once, under arms if a servo drives it, under passive if nothing does",
-                )
+        own = model.jnt_bodyid[index] in bodies and model.jnt_type[index] != mujoco.mjtJoint.mjJNT_FREE
+        if own and listed.count(name) != 1:
+            raise RobotError(
+                folder / "robot.toml",
+                "arms",
+                f"joint '{name}' of plant.xml stands in {listed.count(name)} lists",
+                "list each joint once, under arms if a servo drives it, under passive if nothing does",
+            )
 
 
 def _hinge(model: Any, name: str, part: str, folder: Path, taken: set[str]) -> int:

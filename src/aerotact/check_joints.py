@@ -47,7 +47,9 @@ def joint_disagreement(model: Multibody, rng: np.random.Generator, states: int) 
     servos, rotors = [j.actuator_index for j in model.compliant], [r.index for r in robot.rotors]
     activations = mj.actuator_actadr[[*servos, *rotors]]
     limited = mj.jnt_limited[joints].astype(bool)
-    lower, upper = (np.where(limited, side, wide) for side, wide in zip(mj.jnt_range[joints].T, (-3.0, 3.0), strict=True))
+    lower, upper = (
+        np.where(limited, side, wide) for side, wide in zip(mj.jnt_range[joints].T, (-3.0, 3.0), strict=True)
+    )
     worst = 0.0
     for _ in range(states):
         attitude = rng.normal(size=4)
@@ -126,7 +128,7 @@ def joint_limit_fault(robot: Robot, excess: float) -> str:
         reach = (joint.servo[1] - joint.servo[0]) / joint.time_constant
         if joint.servo_rate > excess * reach:
             return (
-                f"{robot.folder / 'robot.toml'}: servo_rate of '{joint.name}': {joint.servo_rate:g} rad/s is far beyond "
-                f"what a lag of {joint.time_constant:g} s allows, {reach:g} rad/s; check its unit"
+                f"{robot.folder / 'robot.toml'}: servo_rate of '{joint.name}': {joint.servo_rate:g} rad/s is far "
+                f"beyond what a lag of {joint.time_constant:g} s allows, {reach:g} rad/s; check its unit"
             )
     return ""

@@ -105,7 +105,7 @@ class Robot:
         hover_thrust: thrusts of the hover keyframe, N, shape (n,).
         hover_tilt: tilt angles of the hover keyframe, rad, shape (m,), one for each rotor that tilts.
         force_torque: the sensor between base and tool, or None.
-        arms: in the order of robot.toml; `mass`, `p_BC`, `J_C`, `p_BE` and `R_BE` are those with all their joints at zero.
+        arms: in the order of robot.toml; `p_BC`, `J_C`, `p_BE` and `R_BE` are those with all their joints at zero.
         passive: joints that nothing drives, in the order of robot.toml.
     """
 

@@ -129,7 +129,7 @@ def _energy(model: Multibody, data: mujoco.MjData, x: Array) -> float:
 
 
 def test_energy_balance(arms: Multibody) -> None:
-    """Energy changes by the work of rotors, servos and tool forces less what dampers take: 1/2 k (theta - q)^2 of (11)."""
+    """Its change is the work of rotors, servos and tools less what dampers take; the springs hold half of (11)."""
     rng, data = np.random.default_rng(1), mujoco.MjData(arms.robot.mjmodel)
     symbol, p_symbol = ca.SX.sym("x", arms.state.size), ca.SX.sym("p", arms.disturbance.size)
     tool_power = ca.Function("forces", [symbol, p_symbol], [arms.tool_force_torques(symbol, p_symbol)])
@@ -162,7 +162,7 @@ def test_hover_state_is_an_equilibrium(arms: Multibody) -> None:
 
 
 def test_holding_servo_holds_the_arms_under_load(arms: Multibody) -> None:
-    """Spring torque equals gravity and contact: k (theta - q) = G - J' f; seen as no torque left on the arms' joints."""
+    """Spring torque equals gravity and contact: k (theta - q) = G - J' f; no torque is left on the arms."""
     rng = np.random.default_rng(2)
     x, _, p = _random(arms, rng)
     x = arms.at_rest(ca.DM(x)).full().ravel()
@@ -277,7 +277,9 @@ def test_model_of_tells_bodies_apart(hexarotor: Model, tmp_path: Path) -> None:
     for part in ("parts", "dual_arm_standard"):
         shutil.copytree(MODELS / part, tmp_path / part)
     toml = tmp_path / "dual_arm_standard" / "robot.toml"
-    toml.write_text(toml.read_text().split("[[arms]]")[0] + "[sensors.imu]" + toml.read_text().split("[sensors.imu]")[1])
+    toml.write_text(
+        toml.read_text().split("[[arms]]")[0] + "[sensors.imu]" + toml.read_text().split("[sensors.imu]")[1]
+    )
     bare = load_robot(tmp_path / "dual_arm_standard")
     assert bare.arms == ()
     assert type(model_of(bare)) is Model

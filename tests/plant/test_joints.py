@@ -111,7 +111,7 @@ def test_commands_are_cut_and_checked(robot: Robot) -> None:
         plant.data.act[:] = plant.data.ctrl
     np.testing.assert_allclose(plant.joints.shafts(), model.servo_limits[1])
     for wrong in (np.zeros(7), np.full(8, np.nan)):
-        with pytest.raises(InputError, match="servo is .*valid: 8 finite numbers"):
+        with pytest.raises(InputError, match=r"servo is .*valid: 8 finite numbers"):
             plant.command(robot.hover_thrust, servo=wrong)
 
 
@@ -146,11 +146,23 @@ def test_rigid_robot_has_none() -> None:
 
 
 SPOILT = {
-    "joint of no arm": ('joints = ["arm_left_shoulder_pitch", "arm_left_elbow_pitch"]', 'joints = ["swing"]', "sensors.deflection.joints[0]"),
-    "arm joint as passive": ('joints = ["swing"]  #', 'joints = ["arm_left_elbow_pitch"]  #', "sensors.passive.joints[0]"),
-    "noise in degrees": ('noise = { value = 1.1e-4, unit = "rad"', 'noise = { value = 1.1e-4, unit = "deg"', "sensors.deflection.noise"),
+    "joint of no arm": (
+        'joints = ["arm_left_shoulder_pitch", "arm_left_elbow_pitch"]',
+        'joints = ["swing"]',
+        "sensors.deflection.joints[0]",
+    ),
+    "arm joint as passive": (
+        'joints = ["swing"]  #',
+        'joints = ["arm_left_elbow_pitch"]  #',
+        "sensors.passive.joints[0]",
+    ),
+    "noise in degrees": (
+        'noise = { value = 1.1e-4, unit = "rad"',
+        'noise = { value = 1.1e-4, unit = "deg"',
+        "sensors.deflection.noise",
+    ),
     "negative resolution": ("value = 0.005672", "value = -0.005672", "sensors.servo.resolution"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", SPOILT)

@@ -112,7 +112,9 @@ class ArmKinematics:
         """
         goal = np.asarray(r, dtype=float)
         if goal.shape != (3,) or not np.isfinite([*goal, roll]).all():
-            raise InputError(f"arm '{self.name}': r is {goal.tolist()}, roll {roll}; valid: finite, three and one number")
+            raise InputError(
+                f"arm '{self.name}': r is {goal.tolist()}, roll {roll}; valid: finite, three and one number"
+            )
         far, near, side = self.margins(ca.DM(goal), roll).full().ravel()
         distance, dust = float(np.linalg.norm(goal)), 1e-12
         if far < -dust or near < -dust:
@@ -151,7 +153,9 @@ class ArmKinematics:
         axes = (ca.DM([0, 1, 0]), self.side * pitch[:, 0], roll[:, 2], yaw[:, 1])
         moments = [
             mass * (origin + ca.mtimes(R, ca.DM(centre)))
-            for mass, origin, R, centre in zip(self.masses, origins, (pitch, roll, yaw, lower), self.centres, strict=True)
+            for mass, origin, R, centre in zip(
+                self.masses, origins, (pitch, roll, yaw, lower), self.centres, strict=True
+            )
         ]
         torques = []
         for joint, (axis, origin) in enumerate(zip(axes, origins, strict=True)):
@@ -219,7 +223,7 @@ def arm_kinematics(robot: Robot, name: str) -> ArmKinematics:
         sound &= bool(np.ptp(anchors[:3], axis=0).max() < _TOLERANCE)
         upper, lower = anchors[0] - anchors[3], anchors[3] - tool
         sound &= bool(np.abs([upper[:2], lower[:2]]).max() < _TOLERANCE and upper[2] > 0 and lower[2] > 0)
-    above = [j for j in joints_between(model, int(model.jnt_bodyid[arm.joints[0].index]), robot.base_id)]
+    above = joints_between(model, int(model.jnt_bodyid[arm.joints[0].index]), robot.base_id)
     passive = [j.index for j in robot.passive if j.index in above]
     own = [j.index for j in arm.joints]
     if not sound or len(passive) > 1 or set(above) - {own[0], *own, *passive}:

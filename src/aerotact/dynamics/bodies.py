@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import adam
 import casadi as ca
 import mujoco
 import numpy as np
-from adam.casadi import KinDynComputations
 
 from aerotact.dynamics import so3
 from aerotact.robot import Robot
@@ -51,9 +49,10 @@ class Bodies:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        joints = [*robot.passive, *(joint for arm in robot.arms for joint in arm.joints)]
-        self.joints = tuple(joint.name for joint in joints)
-        self.indices = tuple(joint.index for joint in joints)
+        joints = [(joint.name, joint.index) for joint in robot.passive]
+        joints += [(joint.name, joint.index) for arm in robot.arms for joint in arm.joints]
+        self.joints = tuple(name for name, _ in joints)
+        self.indices = tuple(index for _, index in joints)
         self._sites: dict[int, Any] = {}
 
     def mass_matrix(self, q: Any) -> Any:
@@ -72,6 +71,9 @@ class Bodies:
 
     @cached_property
     def _tree(self) -> Any:
+        import adam
+        from adam.casadi import KinDynComputations
+
         tree = KinDynComputations.from_mujoco_model(self._robot.mjmodel, joints_name_list=list(self.joints))
         tree.set_frame_velocity_representation(adam.Representations.BODY_FIXED_REPRESENTATION)
         return tree

@@ -17,6 +17,9 @@ def model_of(robot: Robot) -> Model:
     if robot.tilts:
         tilt = robot.tilts[0].joint
         raise RobotError(
-            robot.folder / "robot.toml", "rotors", f"'{tilt}' tilts a rotor of a robot with arms", "list fixed rotors only"
+            robot.folder / "robot.toml",
+            "rotors",
+            f"'{tilt}' tilts a rotor of a robot with arms",
+            "list fixed rotors only",
         )
     return Multibody(robot)

@@ -1,14 +1,14 @@
 """Multibody: the equations of motion of an aerial robot with compliant arms and passive joints, from its compiled MJCF.
 
-State x:    p_WB(3) q_WB(4) v_WB(3) w_B(3) joint(m) joint_rate(m) servo(s) thrust(n); joint: passive ones, then the arms'
+State x:    p_WB(3) q_WB(4) v_WB(3) w_B(3) joint(m) joint_rate(m) servo(s) thrust(n); passive joints, then the arms'
 Control u:  servo_rate(s) thrust_rate(n), the rates of the actual angles and thrusts, as in `Model`
-Parameter p: f_ext_W(3) tau_ext_B(3): wrench of the environment on the base body at its origin; f_<arm>_W(3): force of the
-            environment on each arm's tool
+Parameter p: f_ext_W(3) tau_ext_B(3): wrench of the environment on the base body at its origin; f_<arm>_W(3): force of
+            the environment on each arm's tool
 
 suarez2020 (8)-(13), mended: with nu = [a_B; dw_B; joint_acceleration] and M, c of `dynamics.bodies`,
 
     M nu + c = rotors + wrench on the base + sum J_tool' f_tool + joint torques,
-    tau = k (servo - q) + d (servo_rate - q_rate) - bearing q_rate,      (14), (15); a passive joint has the last term alone
+    tau = k (servo - q) + d (servo_rate - q_rate) - bearing q_rate  (14), (15); a passive joint has the last term alone
 
 and the servo's shaft is the first-order state of (17), not a body. Stops at the ends of a joint's range and the servo's
 stall torque are limits, not part of the equations.

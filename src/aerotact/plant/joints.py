@@ -1,7 +1,7 @@
 """Joints: arms and passive joints of a plant. Springs, lags and ranges are plant.xml's; what MJCF lacks is here.
 
-A servo's activation is the angle of its shaft, theta: d theta/dt = (command - theta)/T_s, (17) of suarez2020, cut to the
-servo's speed. MuJoCo's actuator gives k (theta - q) - d q_rate; the rest of (15), d theta_rate, is added here.
+A servo's activation is the angle of its shaft, theta: d theta/dt = (command - theta)/T_s, (17) of suarez2020, cut to
+the servo's speed. MuJoCo's actuator gives k (theta - q) - d q_rate; the rest of (15), d theta_rate, is added here.
 """
 
 from typing import Any

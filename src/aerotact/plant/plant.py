@@ -296,7 +296,7 @@ class Plant:
             tilt (rad), tilt_rate (rad/s): angles of the rotors about their hinges; tilt_rate_cmd (rad/s): what the
             command asked of the servos at the start of the last step, beyond their limits or not; shape (m,), left out
             if nothing tilts;
-            joint (rad), joint_rate (rad/s): passive and arm joints, shape (k,); servo (rad): shafts of the arms' servos,
+            joint (rad), joint_rate (rad/s): passive and arm joints, shape (k,); servo (rad): shafts of servos,
             shape (s,); p_tools_W (m): the arms' tools, shape (3 arms,); left out if there are none;
             p_WE (m), q_WE (wxyz), v_WE (m/s, in W): the tool, left out without one;
             f_tool_W: force of the environment on the tool, contact and disturbances, N;
