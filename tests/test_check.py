@@ -14,9 +14,11 @@ from aerotact.resources import problem_files
 
 ROOT = Path(__file__).parents[1]
 TILT_HEX, OCTOROTOR = ROOT / "models" / "tilt_hex", ROOT / "tests" / "fixtures" / "octorotor"
+TILT_ROTOR = ROOT / "models" / "tilt_rotor"
 LOADS, TRIM, RANK = "loads without a MuJoCo warning", "hover keyframe is exact trim", "allocation has rank 6"
 LISTED, AGREE, LIMITS = "every actuator is listed", "CasADi accelerations equal MuJoCo's", "limits are consistent"
 SENSORS, GAINS = "sensors are there and their rates fit", "gains are parameters of their blocks"
+LIGHT = "tilting groups are light and balanced"
 ITEMS = (LOADS, TRIM, RANK, LISTED, AGREE, LIMITS, SENSORS, GAINS)
 
 _SWING = '<body name="swing" pos="0 0 -0.1"><joint name="hinge" type="hinge" axis="0 1 0" damping="0.1"/>'
@@ -177,6 +179,40 @@ def test_remedy_for_the_trim_is_the_cure(source: Path, tmp_path: Path) -> None:
     assert cure is not None, said
     plant.write_text(re.sub(r'(act|ctrl)="4[ 4]*"', lambda m: f'{m[1]}="{cure[1]}"', text))
     assert _failed(folder) == {}
+
+
+def test_tilting_rotors_pass_and_laws_of_fixed_rotors_do_not_fit() -> None:
+    report = check_robot(TILT_ROTOR)
+    assert report.passed, _failed(TILT_ROTOR)
+    assert [item.name for item in report.items] == [*ITEMS[:5], LIGHT, *ITEMS[5:]]
+    assert {"state_estimator", "wrench_observer"} <= set(report.fits)
+    refused = [misfit for misfit in report.misfits if misfit.startswith("law ryll2019_pose_control")]
+    assert "needs fixed_rotors, which robot 'tilt_rotor'" in refused[0]
+
+
+SPOILT_TILT = {
+    "heavy groups off the hinge": ('<inertial pos="0 0 0" mass="0.2"', '<inertial pos="0 0 0.1" mass="0.2"', LIGHT),
+    "rotor off the hinge": ('<site name="rotor1"/>', '<site name="rotor1" pos="0 0.1 0"/>', TRIM),
+    "hover beyond the range": ('ctrlrange="-6.28', 'ctrlrange="0.28', LIMITS),
+    "servo that drags": ('<joint type="hinge"', '<joint type="hinge" stiffness="1" springref="10"', TRIM),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT_TILT)
+def test_spoilt_tilt_fails_at_its_item(case: str, tmp_path: Path) -> None:
+    old, new, item = SPOILT_TILT[case]
+    folder = _copy(TILT_ROTOR, tmp_path)
+    text = (folder / "plant.xml").read_text()
+    assert old in text
+    (folder / "plant.xml").write_text(text.replace(old, new))
+    assert str(folder) in _failed(folder)[item]
+
+
+def test_tilt_rate_of_no_sense_is_found(tmp_path: Path) -> None:
+    folder = _copy(TILT_ROTOR, tmp_path)
+    toml = folder / "robot.toml"
+    toml.write_text(toml.read_text().replace("value = 5.97", "value = 5970"))
+    assert "tilt_rate of 'tilt1'" in _failed(folder)[LIMITS]
 
 
 def test_problem_that_does_not_fit_is_told_and_fails_nothing(tmp_path: Path) -> None:

@@ -49,6 +49,18 @@ def test_hover(robot: Robot) -> None:
         assert values[name] is None, name
 
 
+@pytest.mark.parametrize(("signal", "metric"), [("tilt_cmd", "tilt"), ("tilt_rate_cmd", "tilt_rate")])
+def test_tilt_violations_count_what_was_asked_of_the_servos(signal: str, metric: str) -> None:
+    robot = load_robot("tilt_rotor")
+    limit = {"tilt": robot.tilts[0].angle, "tilt_rate": robot.tilts[0].rate}[metric]
+    plain = {name: np.zeros((ROWS, 6)) for name in ("tilt", "tilt_cmd", "tilt_rate", "tilt_rate_cmd")}
+    values = plain[signal].copy()
+    values[100:110, 2], values[200:203, 5], values[300, 0] = limit[1] * 1.01, limit[0] * 1.01, limit[1]
+    found = _values(_log(robot, **(plain | {signal: values})), robot)
+    assert found[f"violations_{metric}"] == 13
+    assert sum(found[f"violations_{n}"] or 0 for n in ("thrust", "thrust_rate", "tilt", "tilt_rate")) == 13
+
+
 def test_rmse_is_of_the_length_of_rows() -> None:
     assert rmse(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(5 / np.sqrt(2))
     assert rmse(np.array([1.0, -1.0])) == 1.0

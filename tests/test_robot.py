@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from aerotact.exceptions import AerotactError, RobotError, UnknownName
 from aerotact.resources import robot_folders
@@ -14,7 +15,7 @@ from aerotact.robot import Robot, load_robot
 OCTOROTOR = Path(__file__).parent / "fixtures" / "octorotor"
 
 
-@pytest.fixture(scope="module", params=["tilt_hex", str(OCTOROTOR)], ids=["tilt_hex", "octorotor"])
+@pytest.fixture(scope="module", params=["tilt_hex", "tilt_rotor", str(OCTOROTOR)], ids=lambda p: Path(p).name)
 def robot(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)
 
@@ -49,6 +50,7 @@ def test_inertia_equals_mass_matrix(robot: Robot) -> None:
     data = _at_hover(robot)
     full = np.zeros((robot.mjmodel.nv, robot.mjmodel.nv))
     mujoco.mj_fullM(robot.mjmodel, data, full)
+    full = full[:6, :6]
     c = robot.p_BC
     skew = np.array([[0, -c[2], c[1]], [c[2], 0, -c[0]], [-c[1], c[0], 0]])
     expected = np.block(
@@ -67,7 +69,7 @@ def test_allocation_equals_mujoco(robot: Robot) -> None:
         data.act[robot.mjmodel.actuator_actadr[rotor.index]] = 1.0
         mujoco.mj_forward(robot.mjmodel, data)
         torque_B = np.cross(rotor.p_BR, rotor.axis_B) + rotor.drag * rotor.axis_B
-        np.testing.assert_allclose(data.qfrc_actuator, [*rotor.axis_B, *torque_B], atol=1e-14)
+        np.testing.assert_allclose(data.qfrc_actuator[:6], [*rotor.axis_B, *torque_B], atol=1e-14)
 
 
 def test_tilt_hex_has_the_papers_geometry() -> None:
@@ -90,6 +92,52 @@ def test_tilt_hex_has_the_papers_geometry() -> None:
         assert rotor.thrust == (0.25, 11.98)
     expected = robot.mass * robot.gravity / (6 * np.cos(alpha) * np.cos(beta))
     np.testing.assert_allclose(robot.hover_thrust, expected, rtol=1e-14)
+
+
+def test_tilt_rotor_has_the_papers_geometry() -> None:
+    """bodie2021 Table II, and the values that the robot's README gives."""
+    robot = load_robot("tilt_rotor")
+    assert robot.mass == pytest.approx(5.0, rel=1e-14)
+    np.testing.assert_allclose(robot.J_C, np.diag([0.12, 0.14, 0.18]), atol=1e-12)
+    np.testing.assert_array_equal(robot.p_BC, 0.0)
+    np.testing.assert_allclose(robot.p_BE, [0.55, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(robot.R_BE[:, 2], [1.0, 0.0, 0.0], atol=1e-15)
+    for i, rotor in enumerate(robot.rotors):
+        angle = np.pi / 6 + i * np.pi / 3
+        outward = np.array([np.cos(angle), np.sin(angle), 0.0])
+        assert rotor.thrust == (0.2, 20.0)
+        assert rotor.tilt is not None
+        np.testing.assert_allclose(rotor.p_BR, 0.3 * outward, atol=1e-14)
+        np.testing.assert_allclose(rotor.tilt.p_BH, 0.3 * outward, atol=1e-14)
+        np.testing.assert_allclose(rotor.tilt.axis_B, outward, atol=1e-14)
+        np.testing.assert_allclose(rotor.axis_B, [0.0, 0.0, 1.0], atol=1e-14)
+        assert rotor.tilt.rate == (-5.97, 5.97)
+        assert rotor.tilt.time_constant == 0.048
+    np.testing.assert_allclose(robot.hover_thrust, 5.0 * 9.81 / 6, rtol=1e-14)
+    np.testing.assert_array_equal(robot.hover_tilt, np.zeros(6))
+    sensor = robot.force_torque
+    assert sensor is not None
+    np.testing.assert_allclose(sensor.p_BS, [0.49, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(sensor.R_BS, robot.R_BE, atol=1e-15)
+    np.testing.assert_allclose(sensor.p_SD, [0.0, 0.0, 0.04], atol=1e-15)
+    assert sensor.distal_mass == 0.03
+
+
+def test_hinges_equal_mujoco() -> None:
+    """Turned by MuJoCo, the rotors stand where anchor and axis say."""
+    robot = load_robot("tilt_rotor")
+    data = mujoco.MjData(robot.mjmodel)
+    angles = np.linspace(-2.0, 3.0, 6)
+    data.qpos[:] = robot.mjmodel.qpos0
+    data.qpos[7:] = angles
+    mujoco.mj_kinematics(robot.mjmodel, data)
+    for rotor, angle in zip(robot.rotors, angles, strict=True):
+        assert rotor.tilt is not None
+        site = robot.mjmodel.actuator_trnid[rotor.index, 0]
+        turn = Rotation.from_rotvec(angle * rotor.tilt.axis_B)
+        place = rotor.tilt.p_BH + turn.apply(rotor.p_BR - rotor.tilt.p_BH)
+        np.testing.assert_allclose(data.site_xpos[site] - data.xpos[robot.base_id], place, atol=1e-14)
+        np.testing.assert_allclose(data.site_xmat[site].reshape(3, 3)[:, 2], turn.apply(rotor.axis_B), atol=1e-14)
 
 
 def test_octorotor_is_unlike_the_first_robot() -> None:
@@ -167,6 +215,43 @@ def test_spoilt_folder_is_refused(case: str, tmp_path: Path) -> None:
     if part is not None:
         assert caught.value.part == part
         assert Path(caught.value.file).name in ("plant.xml", "robot.toml")
+
+
+SPOILT_TILT = {
+    "no such hinge": ("robot.toml", 'tilt = "tilt3"', 'tilt = "tilt33"', "rotors.tilt"),
+    "hinge of another rotor": ("robot.toml", 'tilt = "tilt3"', 'tilt = "tilt2"', "joint 'tilt2'"),
+    "free joint": ("robot.toml", 'tilt = "tilt3"', 'tilt = "base_free"', "joint 'base_free'"),
+    "no rate": ("robot.toml", "tilt_rate = { value = 5.97", "# tilt_rate = { value = 5.97", "rotors[0].tilt_rate"),
+    "rate of a fixed rotor": ("robot.toml", 'tilt = "tilt1"', "", "rotors[0].tilt_rate"),
+    "rate in degrees": ("robot.toml", 'unit = "rad/s", source = "data', 'unit = "deg/s", source = "data', None),
+    "rate below zero": ("robot.toml", "value = 5.97", "value = -5.97", "rotors[0].tilt_rate"),
+    "no servo": ("plant.xml", 'name="servo2" joint="tilt2"', 'name="servo2" site="rotor2"', "joint 'tilt2'"),
+    "two servos": ("plant.xml", 'name="servo2" joint="tilt2"', 'name="servo2" joint="tilt1"', "joint 'tilt1'"),
+    "servo without range": ("plant.xml", 'ctrlrange="-6.283185307179586 6.283185307179586"', "", "actuator 'servo1'"),
+    "servo without lag": ("plant.xml", 'dynprm="0.048"', 'dynprm="0"', "actuator 'servo1'"),
+    "servo that is a motor": ("plant.xml", 'biasprm="0 -200 -0.4"', 'biasprm="0 0 -0.4"', "actuator 'servo1'"),
+    "slide": ("plant.xml", '<joint type="hinge"', '<joint type="slide"', "joint 'tilt1'"),
+    "hover off the servo": ("plant.xml", 'qpos="0 0 1.5 1 0 0 0 0', 'qpos="0 0 1.5 1 0 0 0 0.1', "hover keyframe"),
+    "no such sensor site": ("robot.toml", 'site = "force_torque"', 'site = "force"', "sensors.force_torque.site"),
+    "sensor on the base": ("robot.toml", 'site = "force_torque"', 'site = "imu"', "site 'imu'"),
+    "sensor on a hinge": ("robot.toml", 'site = "force_torque"', 'site = "rotor1"', "site 'rotor1'"),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT_TILT)
+def test_spoilt_tilt_is_refused(case: str, tmp_path: Path) -> None:
+    file, old, new, part = SPOILT_TILT[case]
+    folder = tmp_path / "spoilt"
+    shutil.copytree(load_robot("tilt_rotor").folder, folder)
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+    with pytest.raises(RobotError) as caught:
+        load_robot(folder)
+    assert str(folder) in str(caught.value)
+    assert caught.value.remedy
+    if part is not None:
+        assert caught.value.part == part
 
 
 @pytest.mark.parametrize("file", ["plant.xml", "robot.toml"])

@@ -69,7 +69,7 @@ def test_wrench_at_the_tip_is_found_in_free_motion(model: Model) -> None:
     np.testing.assert_allclose(out["tau_tool_W"], flight.tau_W, atol=8e-3)
 
 
-def test_own_thrusts_are_not_taken_for_a_wrench(model: Model) -> None:
+def test_own_thrusts_and_tilts_are_not_taken_for_a_wrench(model: Model) -> None:
     """Shaken and turned by its own rotors in free flight."""
     flight, run = Flight(model), Runner(_observer(model, L=50.0, K_I=50.0))
     pattern = np.resize([1.0, -0.5, 0.2, -0.7, -0.1], model.rotors)
@@ -77,7 +77,9 @@ def test_own_thrusts_are_not_taken_for_a_wrench(model: Model) -> None:
     for k in range(500):
         out = run(flight.signals())
         worst.append([np.abs(out["f_ext_W"]).max(), np.abs(out["tau_ext_B"]).max()])
-        flight.step(model.robot.hover_thrust + 1.5 * pattern * np.sin(30 * k / RATE))
+        swing = np.sin(30 * k / RATE)
+        tilt = model.robot.hover_tilt + 0.2 * np.resize(pattern, model.tilts) * swing
+        flight.step(model.robot.hover_thrust + 1.5 * pattern * swing, tilt)
     assert np.abs(flight.x[10:13]).max() > 0.05
     assert (np.max(worst, axis=0) < 6e-4).all()
 

@@ -19,6 +19,11 @@ def octorotor() -> Robot:
     return load_robot(OCTOROTOR)
 
 
-@pytest.fixture(scope="session", params=["tilt_hex", "octorotor"])
-def robot(request: pytest.FixtureRequest, tilt_hex: Robot, octorotor: Robot) -> Robot:
-    return {"tilt_hex": tilt_hex, "octorotor": octorotor}[request.param]
+@pytest.fixture(scope="session")
+def tilting() -> Robot:
+    return load_robot("tilt_rotor")
+
+
+@pytest.fixture(scope="session", params=["tilt_hex", "octorotor", "tilting"])
+def robot(request: pytest.FixtureRequest, tilt_hex: Robot, octorotor: Robot, tilting: Robot) -> Robot:
+    return {"tilt_hex": tilt_hex, "octorotor": octorotor, "tilting": tilting}[request.param]

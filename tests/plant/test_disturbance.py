@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aerotact.exceptions import InputError
-from aerotact.plant.disturbance import ToolForce
+from aerotact.plant.disturbance import ToolForce, Wind, WrenchNoise
 from aerotact.plant.plant import Plant
 from aerotact.robot import Robot
 
@@ -17,11 +17,18 @@ ATTITUDES = {
 }
 
 
+@pytest.fixture(params=["tilt_hex", "octorotor"])
+def rigid(request: pytest.FixtureRequest, tilt_hex: Robot, octorotor: Robot) -> Robot:
+    """A robot without hinges, which under a blow give way for an instant."""
+    return {"tilt_hex": tilt_hex, "octorotor": octorotor}[request.param]
+
+
 @pytest.mark.parametrize("attitude", ATTITUDES)
 @pytest.mark.parametrize("w_B", [(0.0, 0.0, 0.0), (1.0, -0.7, 2.0)])
 def test_tool_force_gives_the_wrench_of_newton_and_euler(
-    robot: Robot, attitude: str, w_B: tuple[float, float, float]
+    rigid: Robot, attitude: str, w_B: tuple[float, float, float]
 ) -> None:
+    robot = rigid
     force_W, offset_E = np.array([1.2, -0.7, 0.4]), np.array([0.03, -0.05, 0.02])
     plant = Plant(robot, disturbances=[ToolForce(tuple(force_W), 0.0, 1.0, tuple(offset_E))])
     plant.reset(q_WB=ATTITUDES[attitude])
@@ -113,6 +120,53 @@ def test_bad_tool_force_is_refused(bad: dict[str, object]) -> None:
     good = {"force_W": (1.0, 0.0, 0.0), "start": 1.0, "stop": 2.0}
     with pytest.raises(InputError, match=r"ToolForce: .*valid"):
         ToolForce(**(good | bad))  # type: ignore[arg-type]
+
+
+def test_wind_pushes_the_centre_of_mass(robot: Robot) -> None:
+    plant = Plant(robot, disturbances=[Wind((1.0, -2.0, 0.5), start=0.0, stop=0.2)])
+    for _ in range(200):
+        plant.step()
+    expected = np.array([1.0, -2.0, 0.5]) * 0.2 / robot.mass
+    mujoco.mj_subtreeVel(plant.model, plant.data)
+    np.testing.assert_allclose(plant.data.subtree_linvel[plant.base_id], expected, atol=1e-9)
+    np.testing.assert_allclose(plant.truth()["w_B"], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(plant.truth()["f_tool_W"], 0.0)
+
+
+def test_wrench_noise_has_its_deviation_and_bandwidth(tilt_hex: Robot) -> None:
+    """On a plant that is held, so that nothing but the noise is seen: 2000 s in steps of 10 ms."""
+    noise = WrenchNoise(force=1.4, torque=0.2, bandwidth=2.0)
+    plant = Plant(tilt_hex, timestep=0.01, disturbances=[noise], seed=3)
+    rows = []
+    for k in range(200_000):
+        plant.data.time = k * 0.01
+        plant.data.xfrc_applied[:] = 0.0
+        noise.apply(plant)
+        rows.append(plant.data.xfrc_applied[plant.base_id].copy())
+    wrench = np.array(rows)
+    np.testing.assert_allclose(wrench.std(axis=0), [1.4] * 3 + [0.2] * 3, rtol=0.05)
+    correlation = (wrench[1:] * wrench[:-1]).mean(axis=0) / wrench.var(axis=0)
+    np.testing.assert_allclose(correlation, np.exp(-2 * np.pi * 2.0 * 0.01), atol=0.01)
+    assert np.abs(np.corrcoef(wrench.T) - np.eye(6)).max() < 0.06
+
+
+def test_noise_is_of_the_plants_seed_and_begins_anew_at_a_reset(tilt_hex: Robot) -> None:
+    def fly(plant: Plant) -> np.ndarray:
+        plant.reset()
+        for _ in range(50):
+            plant.step()
+        return plant.base_pose()
+
+    first, other = (Plant(tilt_hex, disturbances=[WrenchNoise(1.0, 0.1)], seed=s) for s in (1, 2))
+    end = fly(first)
+    np.testing.assert_array_equal(fly(first), end)
+    assert not np.array_equal(fly(other), end)
+
+
+@pytest.mark.parametrize("bad", [{"force": -1.0}, {"torque": np.nan}, {"bandwidth": 0.0}, {"bandwidth": np.inf}])
+def test_bad_noise_is_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=r"WrenchNoise: .*valid"):
+        WrenchNoise(**({"force": 1.0, "torque": 0.1} | bad))
 
 
 def test_tool_force_needs_a_tool(tilt_hex: Robot) -> None:

@@ -5,8 +5,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from hand import Hand
 
 from aerotact.exceptions import RobotError
+from aerotact.plant.mismatch import TiltError
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
 from aerotact.robot import Robot, load_robot
@@ -77,6 +79,116 @@ def test_rotor_speed_noise(robot: Robot) -> None:
     assert values.shape == (SAMPLES, len(robot.rotors))
     np.testing.assert_allclose(values.std(axis=0), sigma, rtol=0.03)
     np.testing.assert_allclose(values.mean(axis=0), robot.hover_thrust, atol=5 * sigma / np.sqrt(SAMPLES))
+
+
+def test_encoder_measures_the_shaft_and_not_the_rotor(tilting: Robot) -> None:
+    plant = Plant(tilting, disturbances=[TiltError(np.deg2rad(2.0))])
+    plant.command(tilting.hover_thrust, np.resize([0.2, -0.2], 6))
+    for _ in range(1000):
+        plant.step()
+    sensors = Sensors(plant, tilting, seed=8)
+    values = np.array([sensors.tilt_encoder()["tilt_measured"] for _ in range(SAMPLES)])
+    assert tilting.file.sensors.tilt_encoder is not None
+    sigma = float(tilting.file.sensors.tilt_encoder.angle_noise.array)
+    np.testing.assert_allclose(values.std(axis=0), sigma, rtol=0.03)
+    np.testing.assert_allclose(values.mean(axis=0), np.resize([0.2, -0.2], 6), atol=5 * sigma / np.sqrt(SAMPLES) + 1e-8)
+    np.testing.assert_allclose(plant.truth()["tilt"] - values.mean(axis=0), np.deg2rad(2.0), atol=1e-4)
+
+
+def test_robot_without_these_sensors_gives_nothing(octorotor: Robot) -> None:
+    sensors = Sensors(Plant(octorotor), octorotor, seed=0)
+    assert sensors.tilt_encoder() == sensors.force_torque() == {}
+    assert sensors.force_torque_rate is None
+
+
+SILENT = [("robot.toml", f"{name} = {{ value = {value}", f"{name} = {{ value = 0.0") for name, value in (
+    ("force_noise", 0.05), ("torque_noise", 0.002), ("force_bias", 0.3), ("torque_bias", 0.01), ("drift", 0.01),
+)]  # fmt: skip
+
+
+@pytest.mark.parametrize("q_WB", [[1.0, 0, 0, 0], [0.7, 0.1, -0.5, 0.5]])
+def test_force_sensor_gives_what_the_robot_does_to_the_environment(
+    tilting: Robot, tmp_path: Path, q_WB: list[float]
+) -> None:
+    """At rest in any attitude, the tip pushed by the environment off its axis: its reaction, and the weight held."""
+    robot = load_robot(folder_with(tilting, tmp_path, *SILENT))
+    plant = Plant(robot)
+    plant.reset(q_WB=np.array(q_WB) / np.linalg.norm(q_WB))
+    plant.model.opt.gravity[:] = 0.0  # held: no acceleration, so that gravity acts on what the sensor carries only
+    sensor, R_WS = robot.force_torque, plant.data.site("force_torque").xmat.reshape(3, 3)
+    assert sensor is not None
+    f_env_W, offset_E = np.array([-5.0, 1.0, 0.5]), np.array([0.01, -0.005, 0.0])
+    weight_W = np.array([0.0, 0.0, -sensor.distal_mass * robot.gravity])
+    body, tip_W = plant.tip.body, plant.truth()["p_WE"]
+    R_WE = plant.data.site_xmat[plant.tip.site].reshape(3, 3)
+    for force, place in ((f_env_W, tip_W + R_WE @ offset_E), (weight_W, plant.data.xipos[body])):
+        plant.push(body, force, place)
+        plant.push(plant.base_id, -force, place)  # the hand that holds it
+    plant.command(np.full(6, 0.2))
+    plant.data.act[:6] = 0.0
+    mujoco.mj_forward(plant.model, plant.data)
+    assert np.abs(plant.data.qacc).max() < 1e-9
+    sample = Sensors(plant, robot, seed=0).force_torque()
+    np.testing.assert_allclose(sample["f_sensor_S"], R_WS.T @ -(f_env_W + weight_W), atol=1e-9)
+    p_SE = sensor.R_BS.T @ (robot.p_BE + robot.R_BE @ offset_E - sensor.p_BS)
+    torque_S = np.cross(p_SE, R_WS.T @ -f_env_W) + np.cross(sensor.p_SD, R_WS.T @ -weight_W)
+    np.testing.assert_allclose(sample["tau_sensor_S"], torque_S, atol=1e-9)
+
+
+def test_force_sensor_feels_a_wall(tilting: Robot, tmp_path: Path) -> None:
+    """Pressed against a wall in front: the force on the wall is along the tool, so that z of S is positive."""
+    robot = load_robot(folder_with(tilting, tmp_path, *SILENT))
+    plant = Plant(robot, "wall", disturbances=[Hand(np.array([5.0, 0, 0]), np.zeros(3), 100.0)])
+    face = plant.model.geom("surface_wall").pos[0] - plant.model.geom("surface_wall").size[0]
+    plant.reset(p_WB=[face - robot.p_BE[0] - 0.001, 0.0, 1.5])
+    sensors = Sensors(plant, robot, seed=0)
+    for _ in range(3000):
+        plant.step()
+    force = plant.truth()["f_contact_W"]
+    assert force[0] == pytest.approx(-5.0, abs=0.05)
+    sample, sensor = sensors.force_torque(), robot.force_torque
+    assert sensor is not None
+    R_WS = plant.data.site("force_torque").xmat.reshape(3, 3)
+    held_W = np.array([0.0, 0.0, sensor.distal_mass * robot.gravity])
+    np.testing.assert_allclose(sample["f_sensor_S"], R_WS.T @ (held_W - force), atol=5e-3)
+    assert sample["f_sensor_S"][2] > 4.9
+
+
+def test_force_sensor_has_noise_bias_and_drift(tilting: Robot) -> None:
+    entry = tilting.file.sensors.force_torque
+    assert entry is not None
+    plant, seconds = Plant(tilting), 20.0
+    ends, starts = [], []
+    for seed in range(200):
+        sensors = Sensors(plant, tilting, seed)
+        starts.append(sensors.biases["f_sensor_S"].copy())
+        samples = [sensors.force_torque() for _ in range(int(seconds * entry.rate))] if seed < 20 else []
+        if samples:
+            ends.append(sensors.biases["f_sensor_S"] - starts[-1])
+        if seed == 0:
+            force, torque = (np.array([s[n] for s in samples]) for n in ("f_sensor_S", "tau_sensor_S"))
+            assert np.diff(force, axis=0).std() == pytest.approx(np.sqrt(2) * entry.force_noise.array, rel=0.03)
+            np.testing.assert_allclose(torque.std(axis=0), entry.torque_noise.array, rtol=0.03)
+    np.testing.assert_allclose(np.std(starts), entry.force_bias.array, rtol=0.1)
+    np.testing.assert_allclose(np.std(ends), entry.drift.array * np.sqrt(seconds), rtol=0.3)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (("robot.toml", 'unit = "rad", source = "data sheet', 'unit = "deg", source = "data sheet'), "tilt_encoder"),
+        (("robot.toml", "[sensors.tilt_encoder]", "[gains.x]"), "tilt_encoder"),
+        (("robot.toml", 'unit = "N/sqrt(s)"', 'unit = "N/s"'), "force_torque.drift"),
+        (("plant.xml", '<force name="force" site="force_torque"/>', ""), "sensor"),
+        (("plant.xml", '<torque name="torque" site="force_torque"/>', ""), "sensor"),
+    ],
+)
+def test_bad_sensors_of_tilting_rotors_are_refused(
+    tilting: Robot, tmp_path: Path, change: tuple[str, str, str], named: str
+) -> None:
+    robot = load_robot(folder_with(tilting, tmp_path, change))
+    with pytest.raises(RobotError, match=named):
+        Sensors(Plant(robot), robot, seed=0)
 
 
 def test_imu_measures_specific_force_at_its_site_in_the_bodys_axes(octorotor: Robot, tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_a_world_may_move(robot: Robot, tmp_path: Path) -> None:
     file = tmp_path / "moving.xml"
     file.write_text(MOVING)
     plant = Plant(robot, file)
-    assert plant.model.nu == len(robot.rotors) + 1
+    assert plant.model.nu == robot.mjmodel.nu + 1
     for _ in range(100):
         plant.step()
     truth = plant.truth()

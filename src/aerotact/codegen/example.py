@@ -11,6 +11,7 @@ from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
 from aerotact.exceptions import CodegenError
 from aerotact.ports import Array, Layout
+from aerotact.robot import ForceTorque
 
 SECONDS = 4.0
 SUBSTEPS = 4
@@ -39,7 +40,9 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
     p_WE, q_WE = model.tool_pose(x)
     v_WE, w_E = model.tool_twist(x)
     zero = ca.DM.zeros(3)
+    felt = {} if model.robot.force_torque is None else _felt(model, model.robot.force_torque, s, a_WB, dw_B)
     return {
+        **felt,
         **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B")},
         **{f"{port.name}_measured": s[port.name] for port in model.actuators},
         "accelerometer_B": specific_force,
@@ -54,6 +57,16 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
         "v_WE": v_WE,
         "w_E": w_E,
     }
+
+
+def _felt(model: Model, sensor: ForceTorque, s: dict[str, Any], a_WB: Any, dw_B: Any) -> dict[str, Any]:
+    """What a force/torque sensor says without contact: what it carries, taken as a point, is held and accelerated."""
+    lever, w_B = ca.DM(sensor.p_BS + sensor.R_BS @ sensor.p_SD), s["w_B"]
+    gravity_W = ca.DM([0, 0, -model.robot.gravity])
+    a_B = ca.mtimes(so3.rotation(s["q_WB"]).T, a_WB - gravity_W)
+    a_B += ca.cross(dw_B, lever) + ca.cross(w_B, ca.cross(w_B, lever))
+    force_S = sensor.distal_mass * ca.mtimes(ca.DM(sensor.R_BS.T), a_B)
+    return {"f_sensor_S": force_S, "tau_sensor_S": ca.cross(ca.DM(sensor.p_SD), force_S)}
 
 
 def make_example(
