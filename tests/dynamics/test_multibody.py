@@ -202,6 +202,16 @@ def test_command_undoes_the_lag(arms: Multibody) -> None:
     np.testing.assert_allclose(arms.control.unpack(u)["servo_rate"], expected, atol=1e-12)
 
 
+def test_encoders_see_deflections_and_the_pendulum(arms: Multibody) -> None:
+    x, _, _ = _random(arms, np.random.default_rng(8))
+    s, said = arms.state.unpack(x), {n: v.full().ravel() for n, v in arms.sensed(ca.DM(x)).items()}
+    deflection = s["servo"] - s["joint"][arms.passive :]
+    np.testing.assert_array_equal(said["deflection_measured"], deflection[[0, 3]])
+    assert ("passive_measured" in said) == bool(arms.passive)
+    if arms.passive:
+        np.testing.assert_array_equal(said["passive_measured"], s["joint"][:1])
+
+
 def test_tools_equal_mujoco(arms: Multibody) -> None:
     rng, robot, data = np.random.default_rng(5), arms.robot, mujoco.MjData(arms.robot.mjmodel)
     twist = np.zeros(6)

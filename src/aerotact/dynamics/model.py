@@ -31,6 +31,23 @@ CAPABILITIES = {
 
 
 @dataclass(frozen=True)
+class ActuatorLimits:
+    """Of a group of lagging actuators; arrays of one length, in the unit of the group's port.
+
+    Attributes:
+        lower, upper: lowest and highest actual value.
+        slowest, fastest: lowest and highest rate of the actual value, per second.
+        time_constants: lags, s.
+    """
+
+    lower: Array
+    upper: Array
+    slowest: Array
+    fastest: Array
+    time_constants: Array
+
+
+@dataclass(frozen=True)
 class Model:
     """Named layouts, equations of motion, manifold and tool kinematics of one robot, as CasADi expressions."""
 
@@ -178,6 +195,14 @@ class Model:
         """Lags in the order of the controls, s, shape (m + n,)."""
         return np.concatenate([self.tilt_time_constants, self.time_constants])
 
+    @cached_property
+    def actuator_limits(self) -> dict[str, ActuatorLimits]:
+        """Limits by port of `actuators`."""
+        limits = {"thrust": ActuatorLimits(*self.thrust_limits, *self.thrust_rate_limits, self.time_constants)}
+        if self.tilts:
+            limits["tilt"] = ActuatorLimits(*self.tilt_limits, *self.tilt_rate_limits, self.tilt_time_constants)
+        return limits
+
     # equations
 
     @cached_property
@@ -258,6 +283,10 @@ class Model:
     def at_rest(self, x: Any) -> Any:
         """x with zero velocities."""
         return ca.vertcat(x[0:7], ca.SX.zeros(6), x[13:])
+
+    def sensed(self, x: Any) -> dict[str, Any]:
+        """What sensors of joints say of x, by signal, without noise: nothing on a rigid body."""
+        return {}
 
     # tool
 

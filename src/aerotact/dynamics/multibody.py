@@ -24,7 +24,7 @@ import numpy as np
 from aerotact.arms import Arm, CompliantJoint
 from aerotact.dynamics import so3
 from aerotact.dynamics.bodies import Bodies
-from aerotact.dynamics.model import Model
+from aerotact.dynamics.model import ActuatorLimits, Model
 from aerotact.exceptions import UnknownName
 from aerotact.ports import Array, Layout, Port
 from aerotact.robot import HOVER_KEYFRAME
@@ -203,6 +203,12 @@ class Multibody(Model):
         return np.concatenate([self.servo_time_constants, self.time_constants])
 
     @cached_property
+    def actuator_limits(self) -> dict[str, ActuatorLimits]:
+        """Limits by port of `actuators`."""
+        servo = ActuatorLimits(*self.servo_limits, *self.servo_rate_limits, self.servo_time_constants)
+        return {**super().actuator_limits, "servo": servo}
+
+    @cached_property
     def stiffness(self) -> Array:
         """Joint stiffnesses k, N m/rad."""
         return np.array([j.stiffness for j in self.compliant])
@@ -309,6 +315,20 @@ class Multibody(Model):
         s = self.state.split(x)
         rest = ca.DM.zeros(6), s["joint"], ca.DM.zeros(self.joints)
         return ca.vertcat(s["p_WB"], s["q_WB"], *rest, s["servo"], s["thrust"])
+
+    # sensors
+
+    def sensed(self, x: Any) -> dict[str, Any]:
+        """What the encoders of robot.toml say of x, without noise: deflection_measured (14), passive_measured, rad."""
+        s, entries = self.state.split(x), self.robot.file.sensors
+        links = dict(zip(self.bodies.joints, ca.vertsplit(s["joint"]), strict=True))
+        shafts = dict(zip(self.bodies.joints[self.passive :], ca.vertsplit(s["servo"]), strict=True))
+        said = {}
+        if entries.deflection is not None:
+            said["deflection_measured"] = ca.vertcat(*[shafts[j] - links[j] for j in entries.deflection.joints])
+        if entries.passive is not None:
+            said["passive_measured"] = ca.vertcat(*[links[j] for j in entries.passive.joints])
+        return said
 
     # tools
 
