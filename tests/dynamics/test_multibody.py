@@ -1,6 +1,7 @@
 """The model with joints: MuJoCo's accelerations, the energy balance, statics, tools, derivatives, capabilities."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -152,6 +153,39 @@ def test_energy_balance(arms: Multibody) -> None:
         assert abs(change - doubled) > 1e-3  # what twice the spring's energy, (11) as printed, would give
 
 
+def test_energy_is_conserved_without_dampers_and_rotors(arms: Multibody) -> None:
+    """Half a second of free motion, RK4: the springs swing, the pendulum turns, the base falls and tumbles."""
+    robot = arms.robot
+    undamped = tuple(
+        replace(arm, joints=tuple(replace(j, damping=0.0, bearing=0.0) for j in arm.joints)) for arm in robot.arms
+    )
+    passive = tuple(replace(j, damping=0.0) for j in robot.passive)
+    free = Multibody(replace(robot, arms=undamped, passive=passive))
+    none = ca.DM.zeros(free.control.size), ca.DM.zeros(free.disturbance.size)
+    x = ca.SX.sym("x", free.state.size)
+    f = ca.Function("f", [x], [free.derivative(x, *none)])
+    h, after = 5e-4, x
+    k1 = f(x)
+    k2 = f(x + h / 2 * k1)
+    k3 = f(x + h / 2 * k2)
+    after = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + h * k3))
+    many = ca.Function("step", [x], [after]).mapaccum(1000)
+    rng = np.random.default_rng(9)
+    start = free.state.unpack(free.hover_state.copy())
+    start |= {"thrust": np.zeros(6), "w_B": rng.normal(size=3), "v_WB": rng.normal(size=3)}
+    start["joint_rate"] = 2.0 * rng.normal(size=free.joints)
+    x0 = free.state.pack(start)
+    path = many(x0).full()
+    data = mujoco.MjData(robot.mjmodel)
+    energies = np.array([_energy(free, data, column) for column in path[:, ::100].T])
+    before = _energy(free, data, x0)
+    spring = 0.5 * (
+        free.stiffness * (path[free.state.slice("servo")] - path[free.state.slice("joint")][free.passive :]).T ** 2
+    )
+    assert np.ptp(spring.sum(axis=1)) > 0.05  # J that come and go
+    assert np.abs(energies - before).max() < 1e-8 * abs(before)
+
+
 def test_hover_state_is_an_equilibrium(arms: Multibody) -> None:
     xdot = arms.function(arms.hover_state, np.zeros(arms.control.size), np.zeros(arms.disturbance.size)).full()
     assert np.abs(xdot).max() < 1e-11
@@ -298,6 +332,6 @@ def test_model_of_tells_bodies_apart(hexarotor: Model, tmp_path: Path) -> None:
 def test_tilting_rotors_with_joints_are_refused(arms: Multibody) -> None:
     tilting = load_robot(MODELS / "tilt_rotor")
     assert tilting.tilts
-    both = type(tilting)(**{**vars(tilting), "arms": arms.robot.arms})
+    both = replace(tilting, arms=arms.robot.arms)
     with pytest.raises(RobotError, match=r"tilts a rotor of a robot with arms; list fixed rotors only"):
         model_of(both)
