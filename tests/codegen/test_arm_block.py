@@ -1,4 +1,4 @@
-"""Kinematics and statics of an arm, and the model with joints, in generated C: equal to CasADi and to what was asked."""
+"""Kinematics and statics of an arm, and the model with joints, in generated C: equal to CasADi and as asked."""
 
 from collections.abc import Callable
 from pathlib import Path
