@@ -7,11 +7,12 @@ from typing import Any
 import jinja2
 import numpy as np
 import pytest
+from holding import hold
 from native import PLAIN, SANITIZED, run
 
 from aerotact.codegen.functions import number
 from aerotact.codegen.mpc_project import mpc_block, mpc_project
-from aerotact.codegen.project import CProject
+from aerotact.codegen.project import CProject, block_project
 from aerotact.controller import Status
 from aerotact.dynamics.model import Model
 from aerotact.mpc.ocp import Ocp, load_ocp
@@ -100,6 +101,13 @@ def test_block_keeps_its_promises(
     assert counts[Status.OK] > STEPS // 10
     assert counts[Status.BAD_INPUT] > STEPS // 3
     assert counts[Status.MAX_ITERATIONS] == counts[Status.INFEASIBLE] == counts[Status.DEADLINE] == 0
+
+
+def test_law_of_tilting_rotors_keeps_its_promises(tmp_path: Path, tilting: Model) -> None:
+    block = hold(tilting, 500.0)
+    counts = _fly(tmp_path, block, tilting, block_project(block, tilting), EVEN, PLAIN)
+    assert counts[Status.OK] > STEPS // 10
+    assert counts[Status.BAD_INPUT] > STEPS // 3
 
 
 def test_mpc_keeps_its_promises(tmp_path: Path, hexarotor_ocp: Ocp) -> None:
