@@ -7,7 +7,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from aerotact.dynamics.model import Model
+from aerotact.check_joints import joint_disagreement, joint_limit_fault, joint_trim
+from aerotact.dynamics.model_of import model_of
+from aerotact.dynamics.multibody import Multibody
 from aerotact.dynamics.rotors import allocation, wrench_jacobian, wrench_rank
 from aerotact.estimation import estimators
 from aerotact.exceptions import AerotactError, RobotError
@@ -87,29 +89,38 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
         "hover keyframe is exact trim",
         error <= TRIM,
         f"largest acceleration {error:.1e}",
-        f"{plant_xml}: keyframe '{HOVER_KEYFRAME}': make the pose level, at rest, and set ctrl and act to "
-        f'"{_trim_thrust(robot)}"',
+        f"{plant_xml}: keyframe '{HOVER_KEYFRAME}': make the pose level, at rest, {_trim_remedy(robot)}",
     )
     rank = wrench_rank(robot)
-    yield _item(
-        "allocation has rank 6",
-        rank == 6,
-        f"rank {rank}, condition {np.linalg.cond(wrench_jacobian(robot)):.1f}",
-        f"{plant_xml}: rotor sites: tilt them so that force and torque are independent",
-    )
+    if robot.arms:
+        lifts = int(np.linalg.matrix_rank(wrench_jacobian(robot)[2:], tol=1e-6))
+        yield _item(
+            "rotors lift and turn the base",
+            lifts == 4,
+            f"rank {lifts} of lift and torque, {rank} in all",
+            f"{plant_xml}: rotor sites: place them around the base, with drag torques both ways",
+        )
+    else:
+        yield _item(
+            "allocation has rank 6",
+            rank == 6,
+            f"rank {rank}, condition {np.linalg.cond(wrench_jacobian(robot)):.1f}",
+            f"{plant_xml}: rotor sites: tilt them so that force and torque are independent",
+        )
     missing = _unlisted(robot)
     yield _item(
         "every actuator is listed",
         not missing,
         f"{robot.mjmodel.nu - len(missing)} of {robot.mjmodel.nu}",
-        f"{robot_toml}: rotors: add {', '.join(missing)}",
+        f"{robot_toml}: rotors or arms: add {', '.join(missing)}",
     )
     error = _disagreement(robot, np.random.default_rng(seed))
     yield _item(
         "CasADi accelerations equal MuJoCo's",
         error <= AGREEMENT,
         f"largest difference {error:.1e} over {STATES} random states and commands",
-        f"{plant_xml}: leave out what the model has not: joints beside the free one, fluid, springs, damping",
+        f"{plant_xml}: leave out what the model has not: joints beside the free one (unless robot.toml lists them "
+        "under arms or passive), fluid, springs, damping",
     )
     if robot.tilts:
         inertia, centre = _lump_changes(robot, np.random.default_rng(seed))
@@ -122,13 +133,13 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
         )
     yield _limits(robot, robot_toml, plant_xml)
     try:
-        Sensors(Plant(robot), robot, seed)
-        entries = robot.file.sensors
-        rates = [entries.imu.rate, entries.motion_capture.rate]
+        sensors = Sensors(Plant(robot), robot, seed)
+        rates = [sensors.imu_rate, sensors.mocap_rate, *sensors.joints.rates.values()]
         said = f"IMU {rates[0]:g} Hz, motion capture {rates[1]:g} Hz"
-        if entries.depth_camera:
-            rates.append(entries.depth_camera.rate)
-            said += f", depth camera {rates[2]:g} Hz"
+        camera = robot.file.sensors.depth_camera
+        if camera:
+            rates.append(camera.rate)
+            said += f", depth camera {camera.rate:g} Hz"
         whole = all(abs(PHYSICS_RATE / r - round(PHYSICS_RATE / r)) < 1e-9 for r in rates)
         slower = max(rates[1:]) <= rates[0]
         yield _item(
@@ -181,6 +192,9 @@ def _limits(robot: Robot, robot_toml: Path, plant_xml: Path) -> Item:
                 f"{robot_toml}: tilt_rate of '{tilt.joint}': {rate:g} rad/s is far beyond what a lag of "
                 f"{tilt.time_constant:g} s allows, {reach:g} rad/s; check its unit",
             )
+    fault = joint_limit_fault(robot, RATE_EXCESS)
+    if fault:
+        return Item(name, False, fault)
     margin = min(min(h - r.thrust[0], r.thrust[1] - h) for h, r in zip(robot.hover_thrust, robot.rotors, strict=True))
     return Item(name, True, f"smallest margin of thrust at hover {margin:.3g} N")
 
@@ -197,6 +211,14 @@ def _trim_error(robot: Robot) -> float:
     return float(np.abs(np.concatenate([data.qacc, data.act_dot, data.qvel])).max())
 
 
+def _trim_remedy(robot: Robot) -> str:
+    if not (robot.arms or robot.passive):
+        return f'and set ctrl and act to "{_trim_thrust(robot)}"'
+    activations, off = joint_trim(robot)
+    balance = f"balance the passive joints, which lack {off:.2g} N m, " if off > TRIM else ""
+    return f'{balance}and set ctrl and act to "{activations}"'
+
+
 def _trim_thrust(robot: Robot) -> str:
     wrench = np.array([0, 0, robot.mass * robot.gravity, 0, 0, 0])
     thrust = np.linalg.lstsq(allocation(robot), wrench, rcond=None)[0]
@@ -205,6 +227,7 @@ def _trim_thrust(robot: Robot) -> str:
 
 def _unlisted(robot: Robot) -> list[str]:
     listed = {r.index for r in robot.rotors} | {t.index for t in robot.tilts}
+    listed |= {joint.actuator_index for arm in robot.arms for joint in arm.joints}
     return [robot.mjmodel.actuator(i).name or f"actuator {i}" for i in range(robot.mjmodel.nu) if i not in listed]
 
 
@@ -214,7 +237,9 @@ def _disagreement(robot: Robot, rng: np.random.Generator) -> float:
     The model holds that a servo turns its rotor without a reaction on the body, and lumps the mass of all bodies as
     they stand in hover. So MuJoCo's hinges are held at rest, and its rotors push from their tilted places on the lump.
     """
-    model, mj = Model(robot), robot.mjmodel
+    model, mj = model_of(robot), robot.mjmodel
+    if isinstance(model, Multibody):
+        return joint_disagreement(model, rng, STATES)
     data, tilted, f = _at(robot), _at(robot), model.function
     base = mj.body_jntadr[robot.base_id]
     q, v = mj.jnt_qposadr[base], mj.jnt_dofadr[base]
@@ -287,7 +312,7 @@ def _wrench_at_base(robot: Robot, q_WB: Array, f_W: Array, tau_B: Array) -> Arra
 
 def _fits(robot: Robot) -> tuple[list[str], list[str], list[str]]:
     """What can be built for the robot, by name, why other things cannot, and which gains are wrong."""
-    model, rate = Model(robot), robot.file.sensors.imu.rate
+    model, rate = model_of(robot), robot.file.sensors.imu.rate
     blocks, problems = laws() | estimators(), problem_files()
     fits: list[str] = []
     misfits: list[str] = []

@@ -139,7 +139,7 @@ def generate(
     `aerotact generate ryll2019_admittance --robot models/my_robot --rate 250 -o my_law`
     """
     from aerotact.codegen.build import measured
-    from aerotact.dynamics.model import Model
+    from aerotact.dynamics.model_of import model_of
     from aerotact.exceptions import CodegenError
     from aerotact.flight import controller_project
     from aerotact.robot import load_robot
@@ -147,7 +147,7 @@ def generate(
     if rate is not None and not 1.0 <= rate <= 1e5:
         raise InputError(f"--rate is {rate:g} Hz; valid: 1 to 100000 Hz")
     begin = perf_counter()
-    project = controller_project(name, Model(load_robot(robot)), rate)
+    project = controller_project(name, model_of(load_robot(robot)), rate)
     generated = perf_counter()
     if rate is not None and abs(project.manifest["rate_hz"] - rate) > 1e-9:
         raise InputError(

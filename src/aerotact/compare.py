@@ -11,7 +11,7 @@ from rich import box
 from rich.table import Table
 
 from aerotact.codegen.build import compile_library
-from aerotact.dynamics.model import Model
+from aerotact.dynamics.model_of import model_of
 from aerotact.experiments import find_experiment
 from aerotact.experiments.experiment import Experiment
 from aerotact.flight import Options, Result, controller_project, estimator_names, find_controller, fly, shown_name
@@ -105,7 +105,7 @@ def run_comparison(
 def _compile_all(experiment: Experiment, labels: Sequence[str], options: Options) -> None:
     """Fill the cache once, so that the processes only load."""
     robot = load_robot(options.robot or experiment.robot)
-    model = Model(robot)
+    model = model_of(robot)
     for label in labels:
         spec = find_controller(experiment, label)
         compile_library(controller_project(spec.block, model, spec.rate, options.predicted_delay))

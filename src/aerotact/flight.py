@@ -12,6 +12,7 @@ from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import CProject, block_project
 from aerotact.controller import Controller
 from aerotact.dynamics.model import Model
+from aerotact.dynamics.model_of import model_of
 from aerotact.estimation import estimators
 from aerotact.exceptions import InputError, UnknownName
 from aerotact.experiments.experiment import Case, ControllerSpec, Experiment
@@ -135,7 +136,7 @@ def fly(
     """
     options = options or Options()
     robot = load_robot(options.robot or experiment.robot)
-    model = Model(robot)
+    model = model_of(robot)
     spec = find_controller(experiment, label)
     project = controller_project(spec.block, model, spec.rate, options.predicted_delay)
     controller = _controller(project, {**spec.parameters, **case.parameters})

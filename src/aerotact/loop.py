@@ -19,7 +19,7 @@ from aerotact.plant.sensors import Sensors
 from aerotact.plant.surface import SurfaceAhead
 from aerotact.ports import Array, Port
 
-COMMANDS = ("thrust_cmd", "tilt_cmd")
+COMMANDS = {"thrust_cmd": "thrust", "tilt_cmd": "tilt", "servo_cmd": "servo"}  # port -> argument of Plant.command
 STATE_SIGNALS = ("p_WB", "q_WB", "v_WB", "w_B")
 _TRUTH = {
     "p_WB": ("m", "W"),
@@ -31,6 +31,10 @@ _TRUTH = {
     "tilt": ("rad", ""),
     "tilt_rate": ("rad/s", ""),
     "tilt_rate_cmd": ("rad/s", ""),
+    "joint": ("rad", ""),
+    "joint_rate": ("rad/s", ""),
+    "servo": ("rad", ""),
+    "p_tools_W": ("m", "W"),
     "p_WE": ("m", "W"),
     "q_WE": ("1", "W"),
     "v_WE": ("m/s", "W"),
@@ -92,6 +96,7 @@ class Loop:
                 f"the force/torque sensor runs at {sensors.force_torque_rate:g} Hz; "
                 f"valid: {sensors.imu_rate:g} Hz, the IMU's, divided by a whole number"
             )
+        self._joints_every = {name: self._every(rate, name) for name, rate in sensors.joints.rates.items()}
         self._control_every = self._every(controller.rate, controller.name)
         for estimator in self.estimators:
             if self._every(estimator.rate, estimator.name) != self._imu_every:
@@ -104,6 +109,7 @@ class Loop:
             **sensors.rotor_speed(),
             **sensors.tilt_encoder(),
             **sensors.force_torque(),
+            **sensors.joints.samples(),
             "mocap_fresh": np.zeros(1),
         }
         self._sight = _Sight(plant, sensors.depth_camera) if sensors.depth_camera else None
@@ -122,12 +128,14 @@ class Loop:
                     f"nothing serves {', '.join(missing)} of {block.name}; there is: {', '.join(self._bus)}"
                 )
             self._bus.update({name: value.copy() for name, value in block.output.items()})
-        self._commands = COMMANDS if plant.robot.tilts else COMMANDS[:1]
-        if any(name not in controller.output for name in self._commands):
+        needed = ("thrust_cmd", "tilt_cmd") if plant.robot.tilts else ("thrust_cmd",)
+        if any(name not in controller.output for name in needed):
             raise LoopError(
                 f"{controller.name} gives {', '.join(controller.output)} and cannot fly; "
-                f"valid: what gives {' and '.join(self._commands)}"
+                f"valid: what gives {' and '.join(needed)}"
             )
+        # Arms hold the angles of hover under a controller that says nothing of them.
+        self._commands = [n for n in COMMANDS if n in needed or (n == "servo_cmd" and n in controller.output)]
 
     def _every(self, rate: float, who: str) -> int:
         steps = 1.0 / (rate * self.plant.timestep)
@@ -161,18 +169,22 @@ class Loop:
         recorder = _Recorder(self.plant, self.controller, self.wiring.reference, steps, self._sight, self._bus)
         self._solve_times: list[float] = []
         self._statuses = {block.name: Counter[str]() for block in (*self.estimators, self.controller)}
-        pending: deque[tuple[int, list[Array]]] = deque()
+        pending: deque[tuple[int, dict[str, Array]]] = deque()
         started = clock.perf_counter()
         fault, done, start = "", 0, self.plant.base_pose()[:3]
         try:
             for k in range(steps):
+                for name, every in self._joints_every.items():
+                    if k % every == 0:
+                        self._bus.update(self.sensors.joints.sample(name))
                 if k % self._imu_every == 0:
                     self._sense(k, tables)
                 if k % self._control_every == 0:
                     late = self._control(k, tables[-1])
-                    pending.append((k + round(late / dt), [self.controller.output[n].copy() for n in self._commands]))
+                    sent = {COMMANDS[name]: self.controller.output[name].copy() for name in self._commands}
+                    pending.append((k + round(late / dt), sent))
                 while pending and pending[0][0] <= k:
-                    self.plant.command(*pending.popleft()[1])
+                    self.plant.command(**pending.popleft()[1])
                 recorder.record(k)
                 self.plant.step()
                 done = k + 1

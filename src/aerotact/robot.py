@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from aerotact.arms import Arm, PassiveJoint, check_listing, load_arms, load_passive
 from aerotact.exceptions import RobotError
 from aerotact.plant_file import compile_plant, find_id, joints_between, lumped, subtree
 from aerotact.ports import Array
@@ -104,6 +105,8 @@ class Robot:
         hover_thrust: thrusts of the hover keyframe, N, shape (n,).
         hover_tilt: tilt angles of the hover keyframe, rad, shape (m,), one for each rotor that tilts.
         force_torque: the sensor between base and tool, or None.
+        arms: in the order of robot.toml; `p_BC`, `J_C`, `p_BE` and `R_BE` are those with all their joints at zero.
+        passive: joints that nothing drives, in the order of robot.toml.
     """
 
     folder: Path
@@ -122,6 +125,8 @@ class Robot:
     hover_thrust: Array
     hover_tilt: Array
     force_torque: ForceTorque | None = None
+    arms: tuple[Arm, ...] = ()
+    passive: tuple[PassiveJoint, ...] = ()
 
     @property
     def name(self) -> str:
@@ -332,6 +337,10 @@ def load_robot(name_or_path: str | Path) -> Robot:
         R_BE = R_WB.T @ data.site_xmat[site].reshape(3, 3)
     imu = find_id(model, _OBJ.mjOBJ_SITE, file.robot.imu, "robot.imu", folder)
     sensor = file.sensors.force_torque
+    arms = load_arms(file.arms, model, model.key(HOVER_KEYFRAME).id, folder)
+    passive = load_passive(file.passive, model, folder)
+    if not hinges:
+        check_listing(arms, passive, model, bodies, folder)
     return Robot(
         folder=folder,
         file=file,
@@ -349,6 +358,8 @@ def load_robot(name_or_path: str | Path) -> Robot:
         hover_thrust=hover_thrust,
         hover_tilt=hover_tilt,
         force_torque=None if sensor is None else _force_torque(sensor.site, model, data, base, folder),
+        arms=arms,
+        passive=passive,
     )
 
 

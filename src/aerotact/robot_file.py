@@ -101,6 +101,37 @@ class DepthCameraEntry(_Strict):
     range_noise: Quantity
 
 
+class ArmEntry(_Strict):
+    """An arm: its tool's site and its joints from the shoulder on; `servo_rate`: fastest servo rates, one a joint."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    tool: str
+    joints: list[str] = Field(min_length=1)
+    servo_rate: Quantity
+
+
+class PassiveEntry(_Strict):
+    """Hinges that nothing drives, the nearest to the base first."""
+
+    joints: list[str] = Field(min_length=1)
+
+
+class EncoderEntry(_Strict):
+    """Encoders on some joints: rate in Hz, standard deviations a sample and of the constant bias."""
+
+    joints: list[str] = Field(min_length=1)
+    rate: float = Field(gt=0)
+    noise: Quantity
+    bias: Quantity
+
+
+class ServoEntry(_Strict):
+    """Servo angles as the servos report them: rate in Hz, step of the reported angle."""
+
+    rate: float = Field(gt=0)
+    resolution: Quantity
+
+
 class SensorEntries(_Strict):
     """The sensors that the robot carries."""
 
@@ -110,6 +141,9 @@ class SensorEntries(_Strict):
     tilt_encoder: TiltEncoderEntry | None = None
     force_torque: ForceTorqueEntry | None = None
     depth_camera: DepthCameraEntry | None = None
+    servo: ServoEntry | None = None
+    deflection: EncoderEntry | None = None
+    passive: EncoderEntry | None = None
 
 
 class RobotFile(_Strict):
@@ -117,6 +151,8 @@ class RobotFile(_Strict):
 
     robot: RobotNames
     rotors: list[RotorEntry] = Field(min_length=1)
+    arms: list[ArmEntry] = Field(default_factory=list)
+    passive: PassiveEntry | None = None
     sensors: SensorEntries
     gains: dict[str, dict[str, Quantity]] = Field(default_factory=dict)
 

@@ -8,6 +8,7 @@ import pytest
 from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import block_project
 from aerotact.dynamics.model import CAPABILITIES, Model
+from aerotact.dynamics.model_of import model_of
 from aerotact.estimation import estimators
 from aerotact.exceptions import MissingCapability
 from aerotact.laws import laws
@@ -24,7 +25,7 @@ RATE = 250.0
 
 @pytest.fixture(scope="module", params=ROBOTS, ids=lambda p: p.name)
 def any_model(request: pytest.FixtureRequest) -> Model:
-    return Model(load_robot(request.param))
+    return model_of(load_robot(request.param))
 
 
 def test_there_is_something_to_combine() -> None:
@@ -69,8 +70,8 @@ def test_law_on_a_robot_without_tool_and_sixth_axis_says_so(hexarotor: Model, na
     robot = hexarotor.robot
     upright = tuple(replace(rotor, axis_B=rotor.axis_B * [0.0, 0.0, 1.0]) for rotor in robot.rotors)
     bare = Model(replace(robot, has_tool=False, rotors=upright))
-    assert bare.capabilities == {"fixed_rotors"}
+    assert bare.capabilities == {"fixed_rotors", "rigid_body"}
     with pytest.raises(MissingCapability) as caught:
         laws()[name](bare, RATE)
     _check_message(str(caught.value), bare, name)
-    assert str(caught.value).endswith("it has: fixed_rotors")
+    assert str(caught.value).endswith("it has: fixed_rotors, rigid_body")

@@ -17,6 +17,7 @@ ROBOTS = sorted(p.parent.name for p in ROOT.glob("models/*/robot.toml"))
 ORDER = (
     ("exceptions", "resources", "ports", "__init__"),
     ("plant_file", "robot_file"),
+    ("arms",),
     ("robot",),
     ("dynamics", "gains", "discovery"),
     ("laws", "estimation"),
@@ -27,7 +28,7 @@ ORDER = (
     ("log", "loop", "metrics", "plots"),
     ("experiments",),
     ("flight",),
-    ("check", "compare", "report", "sweep"),
+    ("check_joints", "check", "compare", "report", "sweep"),
     ("bench",),
     ("terminal", "cli", "__main__"),
 )

@@ -164,8 +164,7 @@ def test_robot_without_a_tool_is_told_what_it_lacks(tmp_path: Path, hexarotor: M
     path = tmp_path / "problem.toml"
     path.write_text(problem_text)
     with pytest.raises(
-        MissingCapability,
-        match=r"problem 'problem' needs tool, which robot 'tilt_hex' .*it has: fixed_rotors, six_axis",
+        MissingCapability, match=r"problem 'problem' needs tool, which robot 'tilt_hex' .*it has: .*six_axis"
     ):
         load_ocp(path, bare)
 

@@ -13,7 +13,7 @@ from aerotact.bench.problems import Problem, make_problem
 from aerotact.bench.run import Progress, Race, make_peers, qualify, race
 from aerotact.bench.scenario import record
 from aerotact.bench.summary import exponent, summarise
-from aerotact.dynamics.model import Model
+from aerotact.dynamics.model_of import model_of
 from aerotact.robot import load_robot
 
 GROWTH_SAMPLES = 150
@@ -51,7 +51,7 @@ def run_bench(options: Options, progress: Progress = lambda done, total, what: N
     blocks: dict[str, Any] = {}
     if options.blocks is not None:
         progress(0, 1, "laws and estimators")
-        blocks = time_blocks(Model(load_robot(options.blocks)))
+        blocks = time_blocks(model_of(load_robot(options.blocks)))
     return result, summarise(result, machine, growth, blocks)
 
 

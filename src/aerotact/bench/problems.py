@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics import so3
-from aerotact.dynamics.model import Model
+from aerotact.dynamics.model_of import model_of
 from aerotact.exceptions import AerotactError, InputError
 from aerotact.mpc.constraints import Bounds
 from aerotact.mpc.ocp import load_ocp
@@ -293,7 +293,7 @@ def _ocp_file(name: str) -> Problem:
     ocp, fault = None, None
     for robot in robot_folders():
         try:
-            ocp = load_ocp(name, Model(load_robot(robot)))
+            ocp = load_ocp(name, model_of(load_robot(robot)))
             break
         except AerotactError as error:
             fault = error

@@ -47,6 +47,7 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
     return {
         **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B")},
         **{f"{port.name}_measured": s[port.name] for port in model.actuators},
+        **model.sensed(x),
         "accelerometer_B": specific_force,
         "specific_force_B": specific_force,
         "gyro_B": w_B,
@@ -136,7 +137,7 @@ def make_example(
     context = {
         "nx": x0.size,
         # The commands are the first fields of the output.
-        "command": "(const double *)&output" if model.tilts else "output.thrust_cmd",
+        "command": "(const double *)&output" if len(model.commands) > 1 else "output.thrust_cmd",
         "x0": [number(v) for v in start],
         "goal": [number(v) for v in goal.tolist()],
         "steps": round(SECONDS * rate),

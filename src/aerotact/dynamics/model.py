@@ -20,12 +20,32 @@ from aerotact.ports import Array, Layout, Port
 from aerotact.robot import HOVER_KEYFRAME, Robot
 
 CAPABILITIES = {
+    "arm": "joints carry a tool",
     "fixed_rotors": "no rotor tilts",
     "force_torque": "a force/torque sensor carries the tool",
+    "passive_joint": "there is a joint that nothing drives",
+    "rigid_body": "no joints, but for tilting rotors",
     "six_axis_wrench": "force and torque can be changed in all six directions at hover",
     "tilt": "rotors tilt",
     "tool": "a tool is named",
 }
+
+
+@dataclass(frozen=True)
+class ActuatorLimits:
+    """Of a group of lagging actuators; arrays of one length, in the unit of the group's port.
+
+    Attributes:
+        lower, upper: lowest and highest actual value.
+        slowest, fastest: lowest and highest rate of the actual value, per second.
+        time_constants: lags, s.
+    """
+
+    lower: Array
+    upper: Array
+    slowest: Array
+    fastest: Array
+    time_constants: Array
 
 
 @dataclass(frozen=True)
@@ -98,7 +118,7 @@ class Model:
     @cached_property
     def capabilities(self) -> frozenset[str]:
         """What laws and OCPs may need, of CAPABILITIES."""
-        found = {"tilt" if self.tilts else "fixed_rotors"}
+        found = {"rigid_body", "tilt" if self.tilts else "fixed_rotors"}
         if wrench_rank(self.robot) == 6:
             found.add("six_axis_wrench")
         if self.robot.has_tool:
@@ -178,6 +198,14 @@ class Model:
         """Lags in the order of the controls, s, shape (m + n,)."""
         return np.concatenate([self.tilt_time_constants, self.time_constants])
 
+    @cached_property
+    def actuator_limits(self) -> dict[str, ActuatorLimits]:
+        """Limits by port of `actuators`."""
+        limits = {"thrust": ActuatorLimits(*self.thrust_limits, *self.thrust_rate_limits, self.time_constants)}
+        if self.tilts:
+            limits["tilt"] = ActuatorLimits(*self.tilt_limits, *self.tilt_rate_limits, self.tilt_time_constants)
+        return limits
+
     # equations
 
     @cached_property
@@ -227,9 +255,9 @@ class Model:
 
     def derivative(self, x: Any, u: Any, p: Any) -> Any:
         """dx/dt for the rates u of tilts and thrusts and the external wrench p."""
-        return self.motion(x, u, *self.accelerations(x, p))
+        return self.state_rate(x, u, *self.accelerations(x, p))
 
-    def motion(self, x: Any, u: Any, a_WB: Any, dw_B: Any) -> Any:
+    def state_rate(self, x: Any, u: Any, a_WB: Any, dw_B: Any) -> Any:
         """dx/dt for the rates u and given accelerations of the base, m/s2 in W and rad/s2 in B."""
         s = self.state.split(x)
         return ca.vertcat(s["v_WB"], so3.quaternion_rate(s["q_WB"], s["w_B"]), a_WB, dw_B, u)
@@ -265,6 +293,10 @@ class Model:
     def at_rest(self, x: Any) -> Any:
         """x with zero velocities."""
         return ca.vertcat(x[0:7], ca.SX.zeros(6), x[13:])
+
+    def sensed(self, x: Any) -> dict[str, Any]:
+        """What sensors of joints say of x, by signal, without noise: nothing on a rigid body."""
+        return {}
 
     # tool
 

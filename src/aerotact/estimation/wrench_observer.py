@@ -68,7 +68,11 @@ def wrench_observer(model: Model, rate: float) -> Block:
     (ryll2019, Practical Implementation). Each rise of `calibrate` starts a new mean.
 
     Forces and torques are those of the environment on the robot. Without a tool, the base's origin takes its place.
+
+    Raises:
+        MissingCapability: the robot is no rigid body.
     """
+    model.require(["rigid_body"], "estimator wrench_observer")
     robot, period = model.robot, 1.0 / rate
     b = BlockBuilder(
         "wrench_observer", "ryll2019", rate, "external wrench from specific force, momentum and rotor thrusts (18)-(25)"

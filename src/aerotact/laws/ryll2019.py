@@ -177,7 +177,7 @@ def pose_control(model: Model, rate: float) -> Block:
         MissingCapability: rotors tilt, or the robot cannot exert force and torque independently.
     """
     b = BlockBuilder("ryll2019_pose_control", SOURCE, rate, "full-pose inverse dynamics (11)-(17), (26)")
-    model.require(["fixed_rotors", "six_axis_wrench"], "law ryll2019_pose_control")
+    model.require(["rigid_body", "fixed_rotors", "six_axis_wrench"], "law ryll2019_pose_control")
     base, wrench = add_base(b, model), _add_external_wrench(b)
     at = hover_poses(model)
     reference = BaseMotion(
@@ -216,7 +216,7 @@ def ryll2019_admittance(model: Model, rate: float) -> Block:
         MissingCapability: rotors tilt, the robot has no tool, or cannot exert force and torque independently.
     """
     b = BlockBuilder("ryll2019_admittance", SOURCE, rate, "admittance law of the flying end-effector (11)-(30)")
-    model.require(["fixed_rotors", "six_axis_wrench", "tool"], "law ryll2019_admittance")
+    model.require(["rigid_body", "fixed_rotors", "six_axis_wrench", "tool"], "law ryll2019_admittance")
     base, wrench = add_base(b, model), _add_external_wrench(b)
     tool = _add_admittance(b, model, rate)
     _add_thrust(b, model, base, wrench, base_reference(model, tool))

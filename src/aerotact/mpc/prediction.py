@@ -29,7 +29,7 @@ def accelerations(model: Model, x: Any, p: dict[str, Any]) -> tuple[Any, Any]:
 
 def derivative(model: Model, x: Any, u: Any, p: dict[str, Any]) -> Any:
     """dx/dt for the rates u of the actuators."""
-    return model.motion(x, u, *accelerations(model, x, p))
+    return model.state_rate(x, u, *accelerations(model, x, p))
 
 
 def ahead(model: Model, x: Any, actuators: list[Any], period: float, p: dict[str, Any]) -> Any:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from aerotact.exceptions import InputError, LoopError, RobotError
 from aerotact.plant.disturbance import Disturbance
+from aerotact.plant.joints import Joints
 from aerotact.plant.servos import TiltServos
 from aerotact.plant.tip import Tip
 from aerotact.plant.world import attach_world
@@ -125,6 +126,7 @@ class Plant:
         self._actuators = np.array([model.actuator(r.actuator).id for r in self.robot.rotors])
         self._thrusts = model.actuator_actadr[self._actuators]
         self.servos = TiltServos(self.robot, model, self.data)
+        self.joints = Joints(self.robot, model, self.data)
         self._hover_qpos, self._hover_qvel = model.qpos0.copy(), np.zeros(model.nv)
         self._hover_act, self._hover_ctrl = np.zeros(model.na), np.zeros(model.nu)
         for body in np.flatnonzero(alone.body_jntnum):
@@ -177,6 +179,7 @@ class Plant:
         data.qpos[:], data.qvel[:] = qpos, self._hover_qvel
         data.act[:], data.ctrl[:] = self._hover_act, self._hover_ctrl
         self.servos.reset()
+        self.joints.reset()
         self.tip.reset()
         self.rng = np.random.default_rng((self._seed, 1))
         self._pushed = False
@@ -185,12 +188,13 @@ class Plant:
         if data.ncon:
             self.tip.read_normal_forces()
 
-    def command(self, thrust: ArrayLike, tilt: ArrayLike | None = None) -> None:
-        """Set the commanded thrusts and tilt angles; they hold until the next call. Beyond a range they are cut to it.
+    def command(self, thrust: ArrayLike, tilt: ArrayLike | None = None, servo: ArrayLike | None = None) -> None:
+        """Set the commanded thrusts, tilt and servo angles; they hold until the next call. Beyond a range they are cut.
 
         Args:
             thrust: N, shape (n,), in the order of `robot.rotors`.
             tilt: rad, shape (m,), in the order of `robot.tilts`; None leaves the angles as they were commanded.
+            servo: rad, shape (s,), of the arms' servos in the order of `robot.arms`; None leaves them likewise.
 
         Raises:
             InputError: wrong shape or not finite.
@@ -198,6 +202,8 @@ class Plant:
         wanted = _vector("thrust", thrust, self._actuators.size)
         if tilt is not None:
             self.servos.command(_vector("tilt", tilt, len(self.robot.tilts)))
+        if servo is not None:
+            self.joints.command(_vector("servo", servo, len(self.joints.servos)))
         self.data.ctrl[self._actuators] = wanted
 
     def push(self, body: int, force_W: Array, p_WP: Array, torque_W: Array | None = None) -> None:
@@ -241,6 +247,7 @@ class Plant:
         for disturbance in self.disturbances:
             disturbance.apply(self)
         self.servos.turn()
+        self.joints.turn()
         try:
             if data.ncon and self.tip.geoms:
                 self._step_in_contact()
@@ -291,6 +298,8 @@ class Plant:
             tilt (rad), tilt_rate (rad/s): angles of the rotors about their hinges; tilt_rate_cmd (rad/s): what the
             command asked of the servos at the start of the last step, beyond their limits or not; shape (m,), left out
             if nothing tilts;
+            joint (rad), joint_rate (rad/s): passive and arm joints, shape (k,); servo (rad): shafts of servos,
+            shape (s,); p_tools_W (m): the arms' tools, shape (3 arms,); left out if there are none;
             p_WE (m), q_WE (wxyz), v_WE (m/s, in W): the tool, left out without one;
             f_tool_W: force of the environment on the tool, contact and disturbances, N;
             f_contact_W: the contact's part of it, normal force and friction, N.
@@ -304,6 +313,7 @@ class Plant:
             "thrust": self.thrust(),
             "thrust_rate": data.act_dot[self._thrusts],
             **self.servos.truth(),
+            **self.joints.truth(),
         }
         if self.tip.site >= 0:
             q_WE = np.zeros(4)

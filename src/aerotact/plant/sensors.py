@@ -5,6 +5,7 @@ import numpy as np
 
 from aerotact.exceptions import RobotError
 from aerotact.plant.camera import DepthCamera
+from aerotact.plant.joint_sensors import JointSensors
 from aerotact.plant.plant import Plant
 from aerotact.ports import Array
 from aerotact.robot import Robot
@@ -19,6 +20,7 @@ class Sensors:
         mocap_rate: Hz.
         force_torque_rate: Hz, or None without that sensor.
         depth_camera: the robot's, or None; its noise has a stream of its own.
+        joints: sensors of arms and passive joints.
         biases: errors drawn once from the seed: accelerometer_B (m/s2) and gyro_B (rad/s), constant, and of a
             force/torque sensor f_sensor_S (N), which walks, and tau_sensor_S (N m); shape (3,) each.
     """
@@ -73,6 +75,7 @@ class Sensors:
         self.force_torque_rate: float | None = None
         if entries.force_torque is not None:
             self._begin_force_torque(robot, entries.force_torque)
+        self.joints = JointSensors(plant, robot, self._rng)
 
     def _encoder_noise(self, robot: Robot) -> Array:
         entry = robot.file.sensors.tilt_encoder
