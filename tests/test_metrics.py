@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aerotact.log import Log
-from aerotact.metrics import UNITS, rmse, standard_metrics, violations
+from aerotact.metrics import FORCE_BAND, UNITS, in_band, rmse, standard_metrics, violations
 from aerotact.ports import Array, Port
 from aerotact.robot import Robot, load_robot
 
@@ -113,6 +113,57 @@ def test_tool_error_is_judged_in_the_window_where_the_reference_is_fresh(robot: 
     assert _values(_log(robot, p_WE=off, p_WE_r=moving), robot)["tool_rmse"] == pytest.approx(0.003)
     off[:500] = moving[:500]
     assert _values(_log(robot, p_WE=off, p_WE_r=moving), robot, slice(0, 500))["tool_rmse"] == 0.0
+
+
+def test_tool_error_of_a_controller_without_a_reference_of_its_own_is_to_what_is_desired(robot: Robot) -> None:
+    log = _log(robot, p_WE=np.tile([0.0, 0.004, 0.003], (ROWS, 1)), p_WE_d=np.zeros((ROWS, 3)))
+    del log.columns["p_WE_r"]
+    assert _values(log, robot)["tool_rmse"] == pytest.approx(0.005)
+
+
+# force
+
+
+def _pressed(robot: Robot, force: Array, wanted: Array, rows: int = ROWS) -> Log:
+    """A tool on a surface whose normal is (-0.6, 0, 0.8): `force` along it, and 2 N of friction."""
+    n_W = np.tile([-0.6, 0.0, 0.8], (rows, 1))
+    friction = np.tile([0.0, 2.0, 0.0], (rows, 1)) * (force > 0)[:, None]
+    return _log(robot, rows, f_contact_W=force[:, None] * n_W + friction, n_W=n_W, f_ref=wanted[:, None])
+
+
+def test_force_error_is_that_of_the_normal_force_where_one_is_wanted(robot: Robot) -> None:
+    wanted = np.where(np.arange(ROWS) < 400, 0.0, 5.0)
+    log = _pressed(robot, np.where(np.arange(ROWS) < 700, 4.0, 8.0), wanted)
+    values = _values(log, robot)
+    assert values["force_rmse"] == pytest.approx(np.sqrt((300 * 1.0 + 300 * 9.0) / 600))
+    assert _values(log, robot, slice(0, 700))["force_rmse"] == pytest.approx(1.0)
+    assert _values(log, robot, slice(0, 400))["force_rmse"] is None  # none is wanted
+
+
+def test_force_error_in_the_band_is_what_a_second_order_filter_of_5_Hz_leaves(robot: Robot) -> None:
+    rows = 4000
+    time = np.arange(rows) * PERIOD
+    for hertz in (0.5, 5.0, 50.0):
+        log = _pressed(robot, 5.0 + np.sin(2 * np.pi * hertz * time), np.full(rows, 5.0), rows)
+        values = _values(log, robot, slice(2000, rows))
+        assert values["force_rmse"] == pytest.approx(np.sqrt(0.5), rel=1e-3)
+        left = 1 / np.sqrt(1 + (hertz / FORCE_BAND) ** 4)  # of an analogue Butterworth filter
+        assert values["force_rmse_band"] == pytest.approx(left * np.sqrt(0.5), rel=0.03), hertz
+
+
+def test_band_starts_at_rest(robot: Robot) -> None:
+    np.testing.assert_allclose(in_band(np.full(100, 7.0), PERIOD), 7.0)
+
+
+def test_airborne_is_counted_where_a_force_is_wanted(robot: Robot) -> None:
+    row = np.arange(ROWS)
+    log = _pressed(robot, np.where(row % 4 == 0, 0.0, 3.0) * (row >= 500), np.where(row < 500, 0.0, 3.0))
+    assert _values(log, robot)["airborne"] == pytest.approx(0.25)
+
+
+def test_a_force_that_never_was_has_no_error(robot: Robot) -> None:
+    values = _values(_pressed(robot, np.zeros(ROWS), np.full(ROWS, 5.0)), robot)
+    assert [values[n] for n in ("force_rmse", "force_rmse_band", "airborne", "peak_force")] == [None] * 4
 
 
 def test_solve_times_and_statuses(robot: Robot) -> None:

@@ -141,7 +141,8 @@ def _statistics(results: Sequence[Result]) -> dict[str, Statistic]:
     return statistics
 
 
-_SCALES = {"m": (1e3, "mm"), "s": (1e6, "us"), "rad": (180 / np.pi, "deg")}
+_SCALES = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
+_COMPUTING = (1e6, "us")  # seconds of the metrics that every run has; an experiment's own stay in s
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
@@ -152,7 +153,7 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
     rows = []
     for name in [*own, *(n for n in names if n in UNITS)]:
         unit = next(str(s[name]["unit"]) for s in comparison.controllers.values() if name in s)
-        scale, shown = _SCALES.get(unit, (1.0, unit))
+        scale, shown = _COMPUTING if unit == "s" and name in UNITS else _SCALES.get(unit, (1.0, unit))
         paper = comparison.paper.get(name)
         cells = [_cell(comparison.controllers[label].get(name), scale) for label in labels]
         if all(c == "-" for c in cells):

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import butter, lfilter
 
 from aerotact.log import Log
 from aerotact.ports import Array
@@ -11,6 +12,8 @@ from aerotact.robot import Robot
 
 # A limit counts as violated beyond this share of its range; rounding is not a violation.
 LIMIT_TOLERANCE = 1e-6
+FORCE_BAND = 5.0
+"""Cut-off of the second-order Butterworth filter behind `force_rmse_band`, Hz: bodie2021's of the force sensor."""
 UNITS = {
     "force_rmse": "N",
     "force_rmse_band": "N",
@@ -50,6 +53,22 @@ def violations(values: Array, lower: Array, upper: Array) -> int:
     return int(((values < lower - slack) | (values > upper + slack)).any(axis=1).sum())
 
 
+def push_force(columns: Mapping[str, Array]) -> Array:
+    """Force of the tool on a surface along the surface's normal, N, shape (rows,), from f_contact_W and n_W of a log."""
+    return np.einsum("ij,ij->i", columns["f_contact_W"], columns["n_W"])
+
+
+def in_band(force: Array, period: float) -> Array:
+    """A force behind the Butterworth filter of FORCE_BAND, which starts at rest at the first value.
+
+    Args:
+        force: N, shape (rows,).
+        period: s between rows.
+    """
+    b, a = butter(2, FORCE_BAND, fs=1.0 / period)
+    return np.asarray(lfilter(b, a, force - force[:1]) + force[:1])
+
+
 def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dict[str, Metric]:
     """Metrics that every run has; those of contact are None in free flight.
 
@@ -57,6 +76,8 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
         log: of the run.
         robot: whose limits count.
         window: rows that are judged for the tool's error and for contact; all if None. Limits are judged on all rows.
+
+    Where the log has a wanted force f_ref, contact is judged in those rows of the window that want one.
     """
     rows = slice(0, len(log.time)) if window is None else window
     rate_lower, rate_upper = np.array([r.thrust_rate for r in robot.rotors]).T
@@ -67,18 +88,22 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
     contact = np.linalg.norm(log["f_contact_W"], axis=1) if "f_contact_W" in log else np.zeros(len(log.time))
     touched = bool((contact > 0).any())
     judged = len(log.time[rows]) > 0
+    wanting = _wanting(log, rows)
+    pressed = np.arange(len(log.time))[rows] if wanting is None else wanting
     # The reference is compared where it is fresh: between the steps of a slow controller the tool has moved on.
     fresh = log.stepped(rows)
-    tool = rmse(log["p_WE"][fresh] - log["p_WE_r"][fresh]) if "p_WE_r" in log and len(fresh) else None
+    aim = next((name for name in ("p_WE_r", "p_WE_d") if name in log), None)
+    tool = rmse(log["p_WE"][fresh] - log[aim][fresh]) if aim and len(fresh) else None
+    force, band = _force_errors(log, wanting) if touched else (None, None)
     solve = log.solve_times
     total = sum(log.statuses.values())
     usable = sum(log.statuses.get(s, 0) for s in ("OK", "MAX_ITERATIONS", "DEADLINE"))
     values: Mapping[str, float | None] = {
-        "force_rmse": None,
-        "force_rmse_band": None,
+        "force_rmse": force,
+        "force_rmse_band": band,
         "tool_rmse": tool,
         "peak_force": float(contact.max()) if touched else None,
-        "airborne": float((contact[rows] == 0).mean()) if touched and judged else None,
+        "airborne": float((contact[pressed] == 0).mean()) if touched and judged else None,
         "violations_thrust": max(commanded, violations(log["thrust"], lower, upper)),
         "violations_thrust_rate": violations(log["thrust_rate"], rate_lower, rate_upper),
         "violations_tilt": tilt,
@@ -91,6 +116,23 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
         "real_time_factor": float(len(log.time) * log.period / log.wall) if log.wall > 0 else None,
     }
     return {name: Metric(value, UNITS[name]) for name, value in values.items()}
+
+
+def _wanting(log: Log, rows: slice) -> Array | None:
+    """Indices of those rows in which a force is wanted; None if there are none."""
+    if "f_ref" not in log:
+        return None
+    indices = np.arange(len(log.time))[rows]
+    wanting = indices[log["f_ref"][indices, 0] > 0.0]
+    return wanting if len(wanting) else None
+
+
+def _force_errors(log: Log, wanting: Array | None) -> tuple[float | None, float | None]:
+    """RMS of the true contact force along the normal minus f_ref, N, and the same of the force in the band."""
+    if wanting is None or "n_W" not in log:
+        return None, None
+    force, wanted = push_force(log.columns), log["f_ref"][wanting, 0]
+    return rmse(force[wanting] - wanted), rmse(in_band(force, log.period)[wanting] - wanted)
 
 
 def _tilt_violations(log: Log, robot: Robot) -> tuple[int | None, int | None]:
