@@ -120,24 +120,26 @@ class WrenchNoise:
     Force and torque are first-order Gauss-Markov processes in B's axes about the centre of mass, from `plant.rng`.
 
     Attributes:
-        force: standard deviation of each component, N.
+        force: standard deviation, N: of each component, or one number for each.
         torque: same, N m.
         bandwidth: Hz, of the first-order low-pass behind the noise.
 
     Raises:
-        InputError: a deviation below zero, a bandwidth that is not above zero.
+        InputError: a deviation below zero or not of one or three numbers, a bandwidth that is not above zero.
     """
 
-    force: float
-    torque: float
+    force: float | tuple[float, float, float]
+    torque: float | tuple[float, float, float]
     bandwidth: float = 2.0
     _level: Array = field(default_factory=lambda: np.zeros(6), init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not (self.force >= 0.0 and self.torque >= 0.0 and 0.0 < self.bandwidth < np.inf):
+        levels = [np.asarray(level, dtype=float) for level in (self.force, self.torque)]
+        fine = all(level.shape in ((), (3,)) and (level >= 0.0).all() for level in levels)
+        if not (fine and 0.0 < self.bandwidth < np.inf):
             raise InputError(
                 f"WrenchNoise: force {self.force} N, torque {self.torque} N m, bandwidth {self.bandwidth} Hz; "
-                "valid: >= 0, >= 0 and > 0"
+                "valid: one or three numbers >= 0, the same, and > 0"
             )
 
     def begin(self, plant: "Plant") -> None:
@@ -149,7 +151,7 @@ class WrenchNoise:
         kept = np.exp(-2 * np.pi * self.bandwidth * plant.timestep) if plant.time > _TICK else 0.0
         self._level = kept * self._level + np.sqrt(1 - kept**2) * fresh
         R_WB = plant.data.xmat[plant.base_id].reshape(3, 3)
-        force, torque = self.force * self._level[:3], self.torque * self._level[3:]
+        force, torque = np.multiply(self.force, self._level[:3]), np.multiply(self.torque, self._level[3:])
         plant.push(plant.base_id, R_WB @ force, plant.data.subtree_com[plant.base_id], R_WB @ torque)
 
 

@@ -49,15 +49,15 @@ TUNED: dict[str, float] = {
 
 
 def controllers(
-    letter: str, tuned: Parameters | None = None, mpc: Parameters | None = None
+    letter: str, tuned: Parameters | None = None, mpc: Parameters | None = None, law: Parameters | None = None
 ) -> dict[str, ControllerSpec]:
     """The two laws and the MPC for one of the paper's experiments.
 
     Args:
         letter: A to F, the experiment whose row of Table IV counts.
-        tuned, mpc: parameters of theirs that this experiment sets.
+        tuned, mpc, law: parameters of theirs that this experiment sets.
     """
-    paper = TABLE_IV[letter]
+    paper = {**TABLE_IV[letter], **(law or {})}
     high = {**paper, **TUNED, **(tuned or {})}
     return {
         "law": ControllerSpec(LAW, RATE, f"the paper's law with its gains of Table IV, experiment {letter}", paper),
