@@ -54,7 +54,7 @@ def violations(values: Array, lower: Array, upper: Array) -> int:
 
 
 def push_force(columns: Mapping[str, Array]) -> Array:
-    """Force of the tool on a surface along the surface's normal, N, shape (rows,), from f_contact_W and n_W of a log."""
+    """Force of the tool on a surface along its normal, N, shape (rows,), from f_contact_W and n_W of a log."""
     return np.einsum("ij,ij->i", columns["f_contact_W"], columns["n_W"])
 
 

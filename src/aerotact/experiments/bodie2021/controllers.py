@@ -44,6 +44,7 @@ TUNED: dict[str, float] = {
     "force_cutoff": 40.0,
     "approach_speed": 0.004,
     "approach_slope": 1.0,
+    "approach_release": 3.0,
 }
 """What the tuned law has instead: the approach as slow as the MPC's, gains as high as noise and lag allow."""
 

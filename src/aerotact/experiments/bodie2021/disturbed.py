@@ -16,7 +16,7 @@ BACKLASH = 1.0
 COM_OFFSET = (0.003, 0.002, 0.005)
 """Of the centre of mass, m in B."""
 NOISE_FORCE = (1.4, 1.4, 3.5)
-"""Standard deviation of the wrench noise along B's axes, N: rotors in their own wake are noisiest along their thrust."""
+"""Standard deviation of the wrench noise along B's axes, N: rotors in their own wake are noisiest along thrust."""
 NOISE_TORQUE, NOISE_BAND = 0.15, 2.0  # N m, Hz
 
 

@@ -50,13 +50,17 @@ class ForceSteps:
         return {"f_ref": force[:, None]}
 
 
+AT_ONCE = 1.0
+"""Time after a step within which its overshoot is looked for, s."""
+
+
 @dataclass(frozen=True)
 class StepResponse:
     """How a force followed a step.
 
     Attributes:
         rise: time until 90 % of the step was reached for the first time, s; NaN if it never was.
-        overshoot: largest excess over the step's end, as a share of the step's height.
+        overshoot: largest excess over the step's end within AT_ONCE, as a share of the step's height.
         settled: mean over the last second, N.
     """
 
@@ -80,7 +84,7 @@ def step_response(time: Array, force: Array, span: tuple[float, float], levels: 
     last = (time >= span[1] - 1.0) & (time < span[1])
     return StepResponse(
         float(time[rows][reached[0]] - span[0]) if reached.size else float("nan"),
-        float(max(share.max() - 1.0, 0.0)),
+        float(max(share[time[rows] < span[0] + AT_ONCE].max() - 1.0, 0.0)),
         float(force[last].mean()),
     )
 

@@ -12,13 +12,15 @@ TOLERANCE = 0.01  # N, of what the rotors fall short
 
 @dataclass(frozen=True)
 class ForceGains:
-    """K_fp and K_fi (1/s) of (21), the largest force of the integral, N, and the speed of approach allowed, a + b d."""
+    """K_fp and K_fi (1/s) of (21), the largest force of the integral, N, and the approach: its speed allowed, a + b d,
+    and how far a measured force lifts that limit."""
 
     K_fp: Any
     K_fi: Any
     integral_max: Any
     approach_speed: Any
     approach_slope: Any
+    approach_release: Any
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ def add_force_gains(b: BlockBuilder) -> ForceGains:
         integral_max=gain("integral_max", "N", 20.0, "largest force of the integral"),
         approach_speed=gain("approach_speed", "m/s", 1e3, "speed towards the surface allowed at it"),
         approach_slope=gain("approach_slope", "1/s", 1.0, "more speed allowed for each metre away from it"),
+        approach_release=gain("approach_release", "1", 1.0, "share of the measured force by which the limit rises"),
     )
 
 
@@ -67,10 +70,11 @@ def approach_limit(
 
     Against the damping D of (11), the spring force of the impedance and what the surface already takes, a force F moves
     the tool along the push at v with D (v - v_ref) = F - spring - measured. The limit rises with the measured force: it
-    binds the motion towards the surface and no steady force.
+    binds the motion towards the surface and no steady force. With a release of 1 a step of the force, too, is taken no
+    faster than the tool would approach; more than 1 lets it go once there is contact.
 
     Args:
-        gains: approach_speed and approach_slope.
+        gains: approach_speed, approach_slope and approach_release.
         distance: of the surface, m.
         damping: effective damping along the push, N s/m.
         reference_speed: of the reference along the push, m/s.
@@ -78,7 +82,7 @@ def approach_limit(
         measured: force on the environment along the push, N.
     """
     speed = gains.approach_speed + gains.approach_slope * ca.fmax(distance, 0)
-    return damping * (speed - reference_speed) + spring + measured
+    return damping * (speed - reference_speed) + spring + gains.approach_release * measured
 
 
 def unlimited_force(gains: ForceGains, push: Push, integral: Any) -> Any:
