@@ -42,7 +42,7 @@ _RANGE = 'ctrlrange="0.2 20"'
 
 @cache
 def weak_robot() -> str:
-    """Folder of a tilt-rotor whose groups give 12 N: a copy of the robot in the cache, on which all controllers are built.
+    """Folder of a tilt-rotor whose groups give 12 N: a copy of the robot in the cache, which all controllers are for.
 
     Raises:
         InputError: plant.xml does not say the range of thrust just once, as it should.
