@@ -19,7 +19,7 @@ from aerotact.laws.bodie2021.impedance import Impedance
 from aerotact.laws.bodie2021.intentional_interaction import command_wrench
 from aerotact.ports import Array, BlockBuilder
 
-GAINS = ForceGains(K_fp=0.1, K_fi=1.0, integral_max=20.0, approach_speed=1e3, approach_slope=1.0)
+GAINS = ForceGains(K_fp=0.1, K_fi=1.0, integral_max=20.0, approach_speed=1e3, approach_slope=1.0, approach_release=1.0)
 SPAN = Span(0.2, 0.4)
 
 
