@@ -84,7 +84,7 @@ class ComCalibration:
         motion = Turning(base, model.robot.p_BE, model.robot.R_BE)
         return Together((WithFlags(motion, {"calibrate": CALIBRATE}), ForceSteps(())))
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The offset."""
         return [CentreOfMassError(OFFSET)]
 

@@ -67,7 +67,7 @@ class Pushed:
         """Hover."""
         return Together((WithFlags(Hold(*model.hover_tool), {"calibrate": CALIBRATE}), ForceSteps(())))
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The hand with what it holds."""
         x, y, z = model.hover_tool[0]
         body = "small_wall" if case.doc.startswith("wall") else "stick"
