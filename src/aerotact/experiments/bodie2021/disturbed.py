@@ -25,13 +25,18 @@ DRAWN_ZERO, DRAWN_OFFSET = 1.5, 0.005
 
 def disturbed_machine() -> list[Disturbance]:
     """Wrong zeros, play, a centre of mass elsewhere, wrench noise; the sensors have bias and drift of their own."""
-    return _machine(np.array(TILT_ZERO), np.array(COM_OFFSET))
+    return [*_machine(np.array(TILT_ZERO), np.array(COM_OFFSET)), wrench_noise()]
 
 
 def drawn_machine(seed: int) -> list[Disturbance]:
-    """The same kind of machine with zeros and a centre of mass that are drawn evenly by the seed of the run."""
+    """Wrong zeros and a centre of mass elsewhere, both drawn evenly by the seed of the run, and the same play."""
     rng = np.random.default_rng((seed, 2))  # not the sequence of the sensors or of the noise with this seed
     return _machine(rng.uniform(-DRAWN_ZERO, DRAWN_ZERO, 6), rng.uniform(-DRAWN_OFFSET, DRAWN_OFFSET, 3))
+
+
+def wrench_noise() -> Disturbance:
+    """The noise by which the law comes to the force error of Table VI."""
+    return WrenchNoise(NOISE_FORCE, NOISE_TORQUE, NOISE_BAND)
 
 
 def _machine(zeros: Array, offset: Array) -> list[Disturbance]:
@@ -39,5 +44,4 @@ def _machine(zeros: Array, offset: Array) -> list[Disturbance]:
     return [
         TiltError(tuple(np.deg2rad(zeros).tolist()), float(np.deg2rad(BACKLASH))),
         CentreOfMassError((x, y, z)),
-        WrenchNoise(NOISE_FORCE, NOISE_TORQUE, NOISE_BAND),
     ]

@@ -11,7 +11,7 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.bodie2021.controllers import TABLE_IV, controllers
-from aerotact.experiments.bodie2021.disturbed import drawn_machine
+from aerotact.experiments.bodie2021.disturbed import drawn_machine, wrench_noise
 from aerotact.experiments.bodie2021.wall import CALIBRATE, DEPART, WALL, in_front_of_wall
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.force_profile import ForceProfile, press
@@ -67,8 +67,8 @@ class PlannerError:
         return Together((in_front_of_wall(model, GAPS[case.name]), ForceProfile(RAMPS)))
 
     def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
-        """None on the paper's cases; beside the wall a machine with errors of its own."""
-        return drawn_machine(seed) if case.name == BESIDE else []
+        """None in the paper's cases; beside the wall a machine with errors of its own, and wrench noise."""
+        return [*drawn_machine(seed), wrench_noise()] if case.name == BESIDE else []
 
     def metrics(self, case: Case, log: Log) -> dict[str, Metric]:
         """Force control beyond d_max, the largest confidence, and whether the robot is steady and upright."""
