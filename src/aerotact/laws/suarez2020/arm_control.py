@@ -16,10 +16,10 @@ from aerotact.laws.suarez2020.arm_feedback import ArmFeedback, ArmFrame, Heard, 
 from aerotact.laws.suarez2020.bimanual import disconnected, lateral_forces
 from aerotact.laws.suarez2020.cartesian_motion import holding_angles, operated, towards, within_reach
 from aerotact.laws.suarez2020.compliant_joint import (
-    JointGains,
-    add_joint_gains,
+    LoopGains,
+    add_loop_gains,
+    correction,
     next_integral,
-    position_correction,
     position_error,
 )
 from aerotact.laws.suarez2020.contact_force import (
@@ -42,7 +42,7 @@ LEAST_FORCE = 1e-3
 class ArmGains:
     """Parameters that all arms share: of joints, of force, and speeds, m/s."""
 
-    joint: JointGains
+    joint: LoopGains
     force: ForceGains
     speed: Any
     speed_max: Any
@@ -143,7 +143,7 @@ def add_arm_outputs(b: BlockBuilder, out: ArmsOutput) -> None:
 
 def _add_gains(b: BlockBuilder) -> ArmGains:
     return ArmGains(
-        joint=add_joint_gains(b),
+        joint=add_loop_gains(b, "position", "1", 0.2, 1.0, 0.2),
         force=add_force_gains(b),
         speed=b.parameter("speed", 1, "m/s", 0.15, doc="v of (23), of the tools towards their goals", lower=0.0),
         speed_max=b.parameter("speed_max", 1, "m/s", 0.1, doc="v_max of (24), at full joystick", lower=0.0),
@@ -225,10 +225,10 @@ def _servo_angles(
         measured = (feedback.theta - feedback.q)[chosen]
         error = position_error(q_ref[chosen], feedback.theta[chosen], measured)
         integral = b.state(f"integral_{name}", len(chosen), "rad s", doc=f"of the links' error of arm '{name}', (21)")
-        after = next_integral(integral, error, gains.joint.position_i, gains.joint.correction_max, 1, period)
+        after = next_integral(gains.joint, integral, error, 1, period)
         b.update(f"integral_{name}", ca.if_else(ca.logic_and(now, ca.logic_not(pushing)), after, integral))
         still = ca.if_else(pushing, 0, error)
-        theta[chosen] += position_correction(gains.joint, still, integral)
+        theta[chosen] += correction(gains.joint, still, integral)
     return theta
 
 

@@ -12,36 +12,34 @@ from aerotact.ports import BlockBuilder
 
 
 @dataclass(frozen=True)
-class JointGains:
-    """Gains of (19) and (21), one number each.
+class LoopGains:
+    """Gains of (19) or (21), one number each: rad per unit of the error, and the same a second.
 
     Attributes:
-        torque_p: K_p of the torque controller, rad/(N m).
-        torque_i: K_I of the torque controller, rad/(N m s).
-        position_p: K_p of the position controller, 1.
-        position_i: K_I of the position controller, 1/s.
-        correction_max: largest angle that an integral may ask, rad.
+        p: proportional.
+        i: integral.
+        most: largest angle that the integral may ask, rad.
     """
 
-    torque_p: Any
-    torque_i: Any
-    position_p: Any
-    position_i: Any
-    correction_max: Any
+    p: Any
+    i: Any
+    most: Any
 
 
-def add_joint_gains(b: BlockBuilder) -> JointGains:
-    """Parameters; the paper gives no values."""
+def add_loop_gains(b: BlockBuilder, name: str, unit: str, p: float, i: float, most: float) -> LoopGains:
+    """Parameters <name>_p, <name>_i, <name>_most; the paper gives no values.
 
-    def gain(name: str, unit: str, default: float, doc: str) -> Any:
-        return b.parameter(name, 1, unit, default, doc=doc, lower=0.0)
-
-    return JointGains(
-        torque_p=gain("torque_p", "rad/(N m)", 0.2, "K_p of the torque controller, (19)"),
-        torque_i=gain("torque_i", "rad/(N m s)", 0.2, "K_I of the torque controller, (19)"),
-        position_p=gain("position_p", "1", 0.2, "K_p of the position controller, (21)"),
-        position_i=gain("position_i", "1/s", 0.2, "K_I of the position controller, (21)"),
-        correction_max=gain("correction_max", "rad", 0.2, "largest angle of an integral in (19) and (21)"),
+    Args:
+        b: takes the parameters.
+        name: "torque", (19), or "position", (21).
+        unit: of the proportional gain.
+        p, i, most: defaults.
+    """
+    per_second = "1/s" if unit == "1" else f"{unit[:-1]} s)"
+    return LoopGains(
+        p=b.parameter(f"{name}_p", 1, unit, p, doc=f"K_p of the {name} controller", lower=0.0),
+        i=b.parameter(f"{name}_i", 1, per_second, i, doc=f"K_I of the {name} controller", lower=0.0),
+        most=b.parameter(f"{name}_most", 1, "rad", most, doc=f"largest angle of the {name}'s integral", lower=0.0),
     )
 
 
@@ -60,19 +58,14 @@ def lever_stiffness(spring: Any, lever: Any) -> Any:
     return spring * lever**2
 
 
-def torque_correction(gains: JointGains, error: Any, integral: Any) -> Any:
-    """Correction angle of the torque error (18) and its integral, N m s: (19)."""
-    return gains.torque_p * error + gains.torque_i * integral
-
-
 def position_error(q_ref: Any, theta: Any, angle: Any) -> Any:
     """Error of the link, (20), from the servo's angle and the measured deflection."""
     return q_ref - (theta - angle)
 
 
-def position_correction(gains: JointGains, error: Any, integral: Any) -> Any:
-    """Correction angle of the position error (20) and its integral, rad s: (21)."""
-    return gains.position_p * error + gains.position_i * integral
+def correction(gains: LoopGains, error: Any, integral: Any) -> Any:
+    """Correction angle of an error, the torque's (18) or the position's (20), and its integral: (19), (21)."""
+    return gains.p * error + gains.i * integral
 
 
 def servo_reference(theta: Any, position: Any, torque: Any, by_position: Any) -> Any:
@@ -80,7 +73,7 @@ def servo_reference(theta: Any, position: Any, torque: Any, by_position: Any) ->
     return theta + by_position * position + (1 - by_position) * torque
 
 
-def next_integral(integral: Any, error: Any, gain: Any, most: Any, on: Any, period: float) -> Any:
-    """Integral of an error one period later: 0 while off, its correction at most `most` rad."""
-    bound = most / ca.fmax(gain, 1e-9)
+def next_integral(gains: LoopGains, integral: Any, error: Any, on: Any, period: float) -> Any:
+    """Integral of an error one period later, so bounded that it asks no more than `most`; 0 while off."""
+    bound = gains.most / ca.fmax(gains.i, 1e-9)
     return ca.if_else(on, ca.fmin(ca.fmax(integral + period * error, -bound), bound), 0)

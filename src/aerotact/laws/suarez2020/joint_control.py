@@ -10,15 +10,17 @@ from aerotact.exceptions import MissingCapability
 from aerotact.gains import with_robot_gains
 from aerotact.laws.suarez2020.arm_feedback import listen
 from aerotact.laws.suarez2020.compliant_joint import (
-    add_joint_gains,
+    add_loop_gains,
+    correction,
     next_integral,
-    position_correction,
     position_error,
     servo_reference,
     spring_torque,
-    torque_correction,
 )
 from aerotact.ports import Block, BlockBuilder
+
+RESOLUTION = 0.005
+"""rad, what the integrals may ask: enough to pass the servo's resolution, at which (22) without them stands still."""
 
 
 def suarez2020_joint_control(model: Model, rate: float) -> Block:
@@ -48,7 +50,10 @@ def suarez2020_joint_control(model: Model, rate: float) -> Block:
     by_position = b.reference(
         "by_position", n, "1", doc="delta of (22): 1 by position, 0 by torque", default=(1.0,) * n
     )
-    gains = add_joint_gains(b)
+    gains = {
+        "torque": add_loop_gains(b, "torque", "rad/(N m)", 0.3, 2.0, RESOLUTION),
+        "position": add_loop_gains(b, "position", "1", 0.2, 0.5, RESOLUTION),
+    }
 
     theta, angle = heard.servo[chosen], heard.deflection
     stiffness, damping = ca.DM(model.stiffness[chosen]), ca.DM(model.damping[chosen])
@@ -58,19 +63,13 @@ def suarez2020_joint_control(model: Model, rate: float) -> Block:
     torque = spring_torque(stiffness, damping, angle, rate * (angle - before))
     errors = {"torque": tau_ref - torque, "position": position_error(q_ref, theta, angle)}
     on = {"torque": by_position < 0.5, "position": by_position > 0.5}
-    weights = {"torque": gains.torque_i, "position": gains.position_i}
-    integrals = {}
+    corrections = {}
     for name, unit in (("torque", "N m s"), ("position", "rad s")):
-        integrals[name] = b.state(f"{name}_integral", n, unit, doc=f"integral of the {name} error")
-        after = next_integral(integrals[name], errors[name], weights[name], gains.correction_max, on[name], 1 / rate)
-        b.update(f"{name}_integral", after)
+        integral = b.state(f"{name}_integral", n, unit, doc=f"integral of the {name} error")
+        b.update(f"{name}_integral", next_integral(gains[name], integral, errors[name], on[name], 1 / rate))
+        corrections[name] = correction(gains[name], errors[name], integral)
     wanted = ca.SX(servo_d)
-    wanted[chosen] = servo_reference(
-        theta,
-        position_correction(gains, errors["position"], integrals["position"]),
-        torque_correction(gains, errors["torque"], integrals["torque"]),
-        by_position,
-    )
+    wanted[chosen] = servo_reference(theta, corrections["position"], corrections["torque"], by_position)
     least, _ = model.thrust_limits
     b.output("thrust_cmd", ca.DM(least), "N", doc="the least", default=tuple(model.robot.hover_thrust))
     b.output("servo_cmd", wanted, "rad", doc="servo commands", default=tuple(model.hover_servo))
