@@ -104,6 +104,8 @@ def find_controller(experiment: Experiment, label: str) -> ControllerSpec:
 
 def estimator_names(robot: Robot) -> tuple[str, ...]:
     """The estimators that fly with a robot, in the order of the calls."""
+    if robot.arms or robot.passive:
+        return ESTIMATORS[:1]
     if not robot.file.sensors.depth_camera:
         return ESTIMATORS
     return (*ESTIMATORS, SEEING, FEELING) if robot.force_torque else (*ESTIMATORS, SEEING)
