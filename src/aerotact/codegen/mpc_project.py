@@ -7,6 +7,7 @@ from typing import Any
 from aerotact.codegen.backends import BACKENDS
 from aerotact.codegen.example import make_example
 from aerotact.codegen.functions import number
+from aerotact.codegen.linked import linked_context
 from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest
 from aerotact.codegen.rti_sources import FunctionRow, numbers, rti_sources
 from aerotact.mpc.ocp import Ocp, limiter_of
@@ -42,7 +43,8 @@ def mpc_project(ocp: Ocp) -> CProject:
     context["mpc"] = _context(ocp)
     rti = rti_sources(ocp, ocp.file.solver.backend, f"{ocp.path}, solver.backend")
     context["rti"] = rti.context
-    context["caveat"] = BACKENDS[ocp.file.solver.backend].caveat
+    backend = BACKENDS[ocp.file.solver.backend]
+    context["caveat"], context["linked"] = backend.caveat, linked_context(backend.linked)
     functions: list[FunctionRow] = [
         (ocp.targets.block.step, f"{name}_prepare", ["z", "y", "r", "p"], ["z_next", "out"]),
         *rti.functions,

@@ -39,11 +39,13 @@ class CProject:
         name: prefix of everything in it.
         files: path inside the project -> text.
         sources: our C files of the library, inside the project.
+        linked: libraries that the machine must have, by the names of codegen/linked.py.
     """
 
     name: str
     files: Mapping[str, str]
     sources: tuple[str, ...]
+    linked: tuple[str, ...] = ()
 
     @property
     def manifest(self) -> dict[str, Any]:
@@ -202,7 +204,7 @@ def assemble(
     extra = [p for p in extra_sources if p.endswith(".c")]
     sources = (f"src/{name}.c", f"src/{name}_functions.c", *[p for p in extra if not p.startswith(THIRD_PARTY)])
     foreign = [p for p in extra if p.startswith(THIRD_PARTY)]
-    full = {**context, "plant": example.context, "sources": sources, "third_party": foreign}
+    full = {"linked": [], **context, "plant": example.context, "sources": sources, "third_party": foreign}
 
     def render(template: str) -> str:
         return environment.get_template(template).render(full)
@@ -220,7 +222,7 @@ def assemble(
         "README.md": render("README.md.jinja"),
         MANIFEST: manifest_text,
     }
-    return CProject(name, files, sources)
+    return CProject(name, files, sources, tuple(library["name"] for library in full["linked"]))
 
 
 def limit_function(limiter: Any) -> Any:

@@ -5,6 +5,8 @@ import json
 import casadi as ca
 
 from aerotact import __version__
+from aerotact.codegen.backends import BACKENDS
+from aerotact.codegen.linked import linked_context
 from aerotact.codegen.project import MANIFEST, THIRD_PARTY, CProject, function_files
 from aerotact.codegen.rti_sources import rti_sources
 from aerotact.codegen.templating import templates
@@ -35,6 +37,7 @@ def rti_project(transcription: Transcription, backend: str = "aerotact", doc: st
         "parameter_size": s.parameter_size,
         "sources": sources,
         "third_party": [path for path in written if path.startswith(THIRD_PARTY)],
+        "linked": linked_context(BACKENDS[backend].linked),
     }
     manifest = {
         "name": s.name,
@@ -60,4 +63,4 @@ def rti_project(transcription: Transcription, backend: str = "aerotact", doc: st
         "README.md": environment.get_template("rti_README.md.jinja").render(context),
         MANIFEST: json.dumps(manifest, indent=2, sort_keys=True) + "\n",
     }
-    return CProject(s.name, files, sources)
+    return CProject(s.name, files, sources, BACKENDS[backend].linked)

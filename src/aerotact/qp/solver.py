@@ -70,7 +70,8 @@ class QpSolver:
             CompilerNotFound, CodegenError: as compile_library; or the back end cannot do this.
         """
         self.pattern = pattern
-        files = dict(find_backend(backend, "QpSolver").sources(name, pattern))
+        chosen = find_backend(backend, "QpSolver")
+        files = dict(chosen.sources(name, pattern))
         header = f"{name}_qp.h"
         size = f"size_t {name}_qp_workspace_bytes(void)"
         shim = f"src/{name}_qp_workspace_bytes.c"
@@ -80,7 +81,7 @@ class QpSolver:
         sources = tuple(p for p in files if p.endswith(".c") and not p.startswith(THIRD_PARTY))
         self._ffi = cffi.FFI()
         self._ffi.cdef(_declarations(files[f"include/{header}"], name) + f"\n{size};")
-        library = compile_library(CProject(name, files, sources))
+        library = compile_library(CProject(name, files, sources, chosen.linked))
         try:
             self._lib: Any = self._ffi.dlopen(str(library))
         except OSError as error:
