@@ -1,4 +1,4 @@
-"""Adapter: what the templates of every foreign solver of OCP QPs share; `templates/adapter` holds their common parts."""
+"""Adapter: what the templates of every foreign solver of OCP QPs share; their common parts are `templates/adapter`."""
 
 from typing import Any
 

@@ -115,8 +115,9 @@ def _build(
     version = compiler_version(compiler)
     graph = [CALL_GRAPH] if _has_call_graph(compiler, root) else []
     quiet = [*(f for f in flags if not f.startswith("-W") and f != "-pedantic"), "-w"]
+    includes = ["-Iinclude", "-Isrc", *compile_flags(linked)]
     jobs = [
-        *([*compiler, *flags, *graph, "-fPIC", "-Iinclude", "-Isrc", *compile_flags(linked), "-c", p] for p in project.sources),
+        *([*compiler, *flags, *graph, "-fPIC", *includes, "-c", p] for p in project.sources),
         *([*compiler, *quiet, *graph, "-fPIC", "-c", p] for p in project.third_party),
     ]
     jobs.sort(key=lambda job: len(project.files[job[-1]]), reverse=True)  # the longest first

@@ -1,6 +1,4 @@
-"""HPIPM as a back end: the adapter that gives it the common interface. HPIPM and BLASFEO are linked, not carried along."""
-
-from typing import Any
+"""HPIPM as a back end: the adapter that gives it the common interface; HPIPM and BLASFEO are linked."""
 
 from aerotact.codegen.adapter import adapter_context
 from aerotact.codegen.functions import number
@@ -95,5 +93,3 @@ def workspace_bound(pattern: QpPattern) -> int:
         "structs": 64 * _STRUCT + 4096,
     }
     return _up((N + 1) * sum(stage.values()) + sum(whole.values()), _LINE)
-
-

@@ -1,6 +1,7 @@
 """Linked: libraries that a project takes from the machine instead of carrying them along."""
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +22,13 @@ class Library:
     name: str
     include: Path
     folder: Path
+
+    @property
+    def version(self) -> str:
+        """As its file has it."""
+        files = [f.resolve().name for f in self.folder.glob(f"lib{self.name}.so*")]
+        found = [m[1] for m in (re.search(r"\.so\.([\d.]+)$", f) for f in files) if m]
+        return max(found, key=len, default="of unknown version")
 
 
 @dataclass(frozen=True)

@@ -10,51 +10,66 @@ import cffi
 import numpy as np
 
 from aerotact import __version__
-from aerotact.bench.peers.peer import Answer
+from aerotact.bench.peers.peer import Absent, Answer
 from aerotact.bench.problems import Problem
 from aerotact.bench.qp import Solution
 from aerotact.bench.scenario import Sample
 from aerotact.codegen.build import FLAGS, compile_library, find_compiler
 from aerotact.codegen.footprint import code_and_data
+from aerotact.codegen.linked import find_library
 from aerotact.codegen.project import CProject
 from aerotact.codegen.rti_project import rti_project
 from aerotact.codegen.templating import templates
+from aerotact.exceptions import LibraryNotFound
 from aerotact.ports import Array
 
 _CDEF = """
 typedef struct {{
     double prepare, feedback, stationarity, feasibility, complementarity;
-    int iterations, status;
+    int iterations, factorizations, status;
 }} timed;
 size_t {n}_timed_size(void);
 void {n}_timed_init(void *rti);
 void {n}_timed_run(void *rti, const double *x, const double *u, const double *stages, const double *parameters,
-    const double *measured, double *dx, double *du, double *y, timed *result);
+    const double *measured, double tolerance, double *dx, double *du, double *y, timed *result);
 """
 _USABLE = (0, 1)  # OK, MAX_ITERATIONS
 
 
 class AerotactPeer:
-    """One row of the table for one back end."""
+    """One row of the table for one back end: our linearisation, and whoever solves the quadratic programme."""
 
     every = 1
 
-    def __init__(self, problem: Problem, backend: str = "aerotact", fresh: bool = False) -> None:
+    def __init__(
+        self, problem: Problem, backend: str = "aerotact", fresh: bool = False, tolerance: float = 0.0
+    ) -> None:
         """Generate, compile (even if the cache has it, if `fresh`), load.
+
+        Args:
+            problem: what it solves.
+            backend: who solves the quadratic programme.
+            fresh: compile even if the cache has it.
+            tolerance: of the quadratic programme; the back end's own if 0.
 
         Raises:
             UnknownName: no such back end.
+            Absent: the back end links what is not here.
             CodegenError: it does not compile.
         """
         t, self._s = problem.transcription, problem.transcription.statement
         begin = time.perf_counter()
         project = timed_project(problem, backend)
         self._scratch = tempfile.TemporaryDirectory(prefix="aerotact-") if fresh else None
-        self._library = compile_library(project, cache=Path(self._scratch.name) if self._scratch else None)
+        try:
+            self._library = compile_library(project, cache=Path(self._scratch.name) if self._scratch else None)
+        except LibraryNotFound as error:
+            raise Absent(f"{backend}: skipped, {error}") from error
         self.build_seconds = time.perf_counter() - begin
-        self.name = "aerotact" if backend == "aerotact" else f"aerotact-{backend}"
+        self._tolerance = tolerance
+        self.name = f"{backend} {tolerance:.0e}".replace("e-0", "e-") if tolerance else backend
         self.settings = f"{' '.join([*find_compiler(), *FLAGS[:3]])}, back end {backend}"
-        self.versions = {"aerotact": __version__}
+        self.versions = {"aerotact": __version__, **{name: find_library(name).version for name in project.linked}}
         self._ffi = cffi.FFI()
         self._ffi.cdef(_CDEF.format(n=project.name))
         self._lib: Any = self._ffi.dlopen(str(self._library))
@@ -80,7 +95,7 @@ class AerotactPeer:
         held = [np.ascontiguousarray(v) for v in (sample.x, sample.u, sample.stages, self._parameters, sample.measured)]
         results = [self._dx, self._du, self._y]
         workspace = self._ffi.cast("void *", self._rti.ctypes.data)
-        self._run(workspace, *(self._pointer(v) for v in (*held, *results)), self._result)
+        self._run(workspace, *map(self._pointer, held), self._tolerance, *map(self._pointer, results), self._result)
         prepare, feedback = 1e6 * self._result.prepare, 1e6 * self._result.feedback
         m = self._s.nu
         y = np.concatenate([self._y[:-1, :m].ravel(), self._y[1:, m:].ravel()])
@@ -90,6 +105,7 @@ class AerotactPeer:
             feedback=feedback,
             total=prepare + feedback,
             usable=self._result.status in _USABLE,
+            work=self._result.factorizations,
             solution=Solution(self._dx.copy(), self._du.copy(), y) if full else None,
         )
 
