@@ -103,8 +103,8 @@ def _ratios(solvers: Mapping[str, Any]) -> dict[str, float]:
 
 
 def equal_work(records: Sequence[Record]) -> tuple[int | None, list[Array]]:
-    """Of one solver at several horizons, the least number of factorisations that a tenth of each one's samples took, and
-    the microseconds of these samples by horizon; None if there is no such number.
+    """The least number of factorisations that one solver took for a tenth of the samples at every horizon, and the
+    microseconds of these samples by horizon; None if there is no such number.
 
     Which bounds are active changes with the horizon, and with them what there is to do. These samples are alike.
     """
