@@ -3,6 +3,7 @@
 from typing import Any
 
 from aerotact.codegen.qp_structure import QpPattern
+from aerotact.exceptions import CodegenError
 
 
 def adapter_context(prefix: str, pattern: QpPattern, solver: str) -> dict[str, Any]:
@@ -18,3 +19,15 @@ def adapter_context(prefix: str, pattern: QpPattern, solver: str) -> dict[str, A
         "soft_x": list(pattern.soft_bounds) or [False] * len(pattern.bounded),
         "soft_g": list(pattern.soft_rows) or [False] * pattern.general,
     }
+
+
+def refuse_single(prefix: str, pattern: QpPattern, backend: str) -> None:
+    """These solvers are called with doubles.
+
+    Raises:
+        CodegenError: the pattern wants floats.
+    """
+    if pattern.single:
+        raise CodegenError(
+            f"{prefix}: the back end {backend} knows doubles only; valid in single precision: the back end aerotact"
+        )

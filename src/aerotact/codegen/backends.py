@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from aerotact.codegen.hpipm_sources import hpipm_sources
+from aerotact.codegen.precision import files_in_single_precision
 from aerotact.codegen.qp_structure import Places, QpPattern, template_context, workspace_places
 from aerotact.codegen.templating import templates
 from aerotact.exceptions import UnknownName
@@ -33,10 +34,11 @@ def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
     """Warm-started active set, splitting and interior point on one structured Riccati recursion."""
     environment = templates()
     context = template_context(prefix, pattern)
-    return {
+    files = {
         f"include/{prefix}_qp.h": environment.get_template("qp/qp.h.jinja").render(context),
         f"src/{prefix}_qp.c": environment.get_template("qp/qp.c.jinja").render(context),
     }
+    return files_in_single_precision(files) if pattern.single else files
 
 
 def aerotact_places(pattern: QpPattern) -> Places:

@@ -1,6 +1,6 @@
 """HPIPM as a back end: the adapter that gives it the common interface; HPIPM and BLASFEO are linked."""
 
-from aerotact.codegen.adapter import adapter_context
+from aerotact.codegen.adapter import adapter_context, refuse_single
 from aerotact.codegen.functions import number
 from aerotact.codegen.qp_structure import ONE, QpPattern
 from aerotact.codegen.templating import templates
@@ -16,7 +16,12 @@ _STATISTICS = 20  # doubles that HPIPM keeps of an iteration
 
 
 def hpipm_sources(prefix: str, pattern: QpPattern) -> dict[str, str]:
-    """Adapter: path inside the project -> text."""
+    """Adapter: path inside the project -> text.
+
+    Raises:
+        CodegenError: single precision.
+    """
+    refuse_single(prefix, pattern, "hpipm")
     masks = [] if pattern.direct else _masks(pattern)
     context = {
         **adapter_context(prefix, pattern, "HPIPM"),

@@ -4,7 +4,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import mujoco
 from aerotact import __version__
 from aerotact.codegen.example import SECONDS, Example, make_example
 from aerotact.codegen.functions import emit, number, signature
+from aerotact.codegen.precision import files_in_single_precision
 from aerotact.codegen.templating import templates
 from aerotact.dynamics.model import Model
 from aerotact.exceptions import CodegenError
@@ -153,6 +154,7 @@ def block_context(block: Block, robot: Robot) -> dict[str, Any]:
         "seconds": f"{SECONDS:g}",
         "mpc": None,
         "caveat": "",
+        "precision": "double",
     }
 
 
@@ -223,6 +225,11 @@ def assemble(
         MANIFEST: manifest_text,
     }
     return CProject(name, files, sources, tuple(library["name"] for library in full["linked"]))
+
+
+def in_single_precision(project: CProject) -> CProject:
+    """The project with floats instead of doubles, in its interface too."""
+    return replace(project, files=files_in_single_precision(project.files))
 
 
 def limit_function(limiter: Any) -> Any:

@@ -94,6 +94,7 @@ class QpSolver:
         start = self._memory.ctypes.data
         self._workspace = self._ffi.cast("void *", start + -start % 64)
         getattr(self._lib, f"{name}_qp_default_settings")(self._settings)
+        self._real = np.float32 if pattern.single else np.float64
         self.data = self._views(self._data)
         self._found = self._views(self._solution)
         self.reset()
@@ -145,7 +146,7 @@ class QpSolver:
         )
 
     def _views(self, struct: Any) -> dict[str, Array]:
-        """Arrays of doubles in a C struct, as writable arrays (stages, numbers of a stage)."""
+        """Arrays of numbers in a C struct, as writable arrays (stages, numbers of a stage)."""
         views = {}
         for name, field in self._ffi.typeof(struct).item.fields:
             if field.type.kind == "array":
@@ -154,7 +155,7 @@ class QpSolver:
                     shape.append(item.length)
                     item = item.item
                 memory = self._ffi.buffer(self._ffi.addressof(struct[0], name))
-                views[name] = np.frombuffer(memory, dtype=float).reshape(shape)
+                views[name] = np.frombuffer(memory, dtype=self._real).reshape(shape)
         return views
 
 
