@@ -14,7 +14,7 @@ PRECISIONS = ("double", "single")
 """Scalar types of generated C, as ocp files name them."""
 
 
-_MATH = frozenset(
+_MATH = frozenset(  # those that CasADi's operations and the templates need
     [
         "acos",
         "acosh",
@@ -23,7 +23,6 @@ _MATH = frozenset(
         "atan",
         "atan2",
         "atanh",
-        "cbrt",
         "ceil",
         "copysign",
         "cos",
@@ -31,6 +30,8 @@ _MATH = frozenset(
         "erf",
         "exp",
         "expm1",
+    ]
+    + [
         "fabs",
         "floor",
         "fma",
@@ -39,17 +40,14 @@ _MATH = frozenset(
         "fmod",
         "hypot",
         "log",
-        "log10",
         "log1p",
         "pow",
         "remainder",
         "sin",
         "sinh",
         "sqrt",
-        "tan",
-        "tanh",
-        "trunc",
     ]
+    + ["tan", "tanh"]
 )
 _TOKEN = re.compile(
     r"""
