@@ -10,45 +10,14 @@ import re
 import sys
 from collections.abc import Mapping
 
+from aerotact.codegen.functions import BINARY, UNARY
+
 PRECISIONS = ("double", "single")
 """Scalar types of generated C, as ocp files name them."""
 
 
-_MATH = frozenset(  # those that CasADi's operations and the templates need
-    [
-        "acos",
-        "acosh",
-        "asin",
-        "asinh",
-        "atan",
-        "atan2",
-        "atanh",
-        "ceil",
-        "copysign",
-        "cos",
-        "cosh",
-        "erf",
-        "exp",
-        "expm1",
-    ]
-    + [
-        "fabs",
-        "floor",
-        "fma",
-        "fmax",
-        "fmin",
-        "fmod",
-        "hypot",
-        "log",
-        "log1p",
-        "pow",
-        "remainder",
-        "sin",
-        "sinh",
-        "sqrt",
-    ]
-    + ["tan", "tanh"]
-)
+# Of math.h: what CasADi's operations need, and the templates.
+_MATH = frozenset(re.findall(r"([a-z]\w*)\(", " ".join([*BINARY.values(), *UNARY.values()]))) | {"fabs", "fma"}
 _TOKEN = re.compile(
     r"""
     (?P<comment>/\*.*?\*/)
