@@ -107,6 +107,8 @@ def find_controller(experiment: Experiment, label: str) -> ControllerSpec:
 
 def estimator_names(robot: Robot) -> tuple[str, ...]:
     """The estimators that fly with a robot, in the order of the calls."""
+    if robot.arms or robot.passive:
+        return ESTIMATORS[:1]
     if not robot.file.sensors.depth_camera:
         return ESTIMATORS
     return (*ESTIMATORS, SEEING, FEELING) if robot.force_torque else (*ESTIMATORS, SEEING)
@@ -147,7 +149,7 @@ def fly(
         _controller(controller_project(name, model, robot.file.sensors.imu.rate), spec.estimators.get(name, {}))
         for name in estimator_names(robot)
     ]
-    plant = Plant(robot, experiment.world, disturbances=experiment.disturbances(case, model), seed=seed)
+    plant = Plant(robot, experiment.world, disturbances=experiment.disturbances(case, model, seed), seed=seed)
     sensors = Sensors(plant, robot, seed)
     loop = Loop(
         plant, sensors, chain, controller, Wiring(experiment.reference(case, model), options.truth, options.delay)
