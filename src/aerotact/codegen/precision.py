@@ -56,6 +56,8 @@ def files_in_single_precision(files: Mapping[str, str]) -> dict[str, str]:
 def _single(match: re.Match[str]) -> str:
     if match["name"]:
         name = match["name"]
+        if name.startswith("DBL_"):
+            return f"FLT_{name[4:]}"
         return "float" if name == "double" else f"{name}f" if name in _MATH else name
     if match["number"] and not match["suffix"]:
         return f"{_literal(match['number'])}f"
