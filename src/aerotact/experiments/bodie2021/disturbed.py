@@ -1,55 +1,37 @@
 """The machine as it flew in experiments D to F: what bodie2021's Section VI tells of, which no controller is told of.
 
-The paper gives no numbers. Each seed is another machine, drawn from what such a machine is assembled and weighed to:
-
-    tilt zeros         a part common to all servos (one jig) and one of each (its spline), degrees of angle by eye
-    play               of the gears of servos of this class, the same in all machines
-    centre of mass     millimetres, as after a calibration, and once more after a change of battery
-    mass               a share, as a change of battery moves it
-    wrench noise       rotors in their own wake and the wall's: the level at which the law with the paper's gains has
-                       about the force errors of Table VI; a machine's own level lies about it
+The paper gives no numbers. Zeros and play are what servos of this class have when their horns are set by eye; the
+centre of mass errs by what a change of battery or cable moves it. The noise is the level at which the law with the
+paper's gains has about the force errors of Table VI: see docs/experiments.md.
 """
 
 import numpy as np
 
 from aerotact.plant.disturbance import Disturbance, WrenchNoise
-from aerotact.plant.mismatch import CentreOfMassError, MassError, TiltError
+from aerotact.plant.mismatch import CentreOfMassError, TiltError
 
-TILT_COMMON, TILT_OWN = 1.0, 0.5
-"""Zeros of the tilt servos, degrees: mean over the servos, which turns the robot about its vertical axis, and deviation."""
 BACKLASH = 1.0
 """Play of the servos' gears, degrees."""
-COM_OFFSET = 0.003
-"""Of the centre of mass along each axis of B, standard deviation, m."""
-MASS = 0.01
-"""Of the mass, standard deviation, as a share."""
-NOISE_FORCE, NOISE_TORQUE = (1.4, 1.4, 3.5), 0.15
-"""Standard deviation of the wrench noise along B's axes, N, rotors being noisiest along thrust, and of its torque, N m."""
-NOISE_BAND = 2.0  # Hz
-NOISE_SPREAD = 0.1
-"""Standard deviation of a machine's noise level, as a share."""
-WITHIN = 2.0
-"""Every draw is cut at this many standard deviations: a machine outside would be repaired."""
+NOISE_FORCE = (1.4, 1.4, 3.5)
+"""Standard deviation of the wrench noise along B's axes, N: rotors in their own wake are noisiest along thrust."""
+NOISE_TORQUE, NOISE_BAND = 0.15, 2.0  # N m, Hz
+TILT_ZERO, COM_OFFSET = 1.5, 0.005
+"""Largest errors of a machine: of each tilt servo's zero, degrees; of the centre of mass along each axis, m."""
 
 
 def disturbed_machine(seed: int) -> list[Disturbance]:
-    """One such machine; the sensors have bias and drift of their own.
+    """A drawn machine in its own wake; the sensors have bias and drift of their own."""
+    return [*drawn_machine(seed), wrench_noise()]
 
-    Args:
-        seed: of the run.
-    """
-    rng = np.random.default_rng((seed, 2))  # not the sequence of plant or sensors with this seed
 
-    def normal(size: int) -> np.ndarray:
-        return np.clip(rng.normal(size=size), -WITHIN, WITHIN)
+def drawn_machine(seed: int) -> list[Disturbance]:
+    """Wrong zeros and a centre of mass elsewhere, both drawn evenly by the seed of the run, and play in the gears."""
+    rng = np.random.default_rng((seed, 2))  # not the sequence of the sensors or of the noise with this seed
+    zeros = np.deg2rad(rng.uniform(-TILT_ZERO, TILT_ZERO, 6))
+    x, y, z = rng.uniform(-COM_OFFSET, COM_OFFSET, 3).tolist()
+    return [TiltError(tuple(zeros.tolist()), float(np.deg2rad(BACKLASH))), CentreOfMassError((x, y, z))]
 
-    zeros = np.deg2rad(TILT_COMMON + TILT_OWN * normal(6))
-    com, level = COM_OFFSET * normal(3), float(1.0 + NOISE_SPREAD * normal(1)[0])
-    return [
-        TiltError(tuple(map(float, zeros)), float(np.deg2rad(BACKLASH))),
-        MassError(float(MASS * normal(1)[0])),
-        CentreOfMassError((float(com[0]), float(com[1]), float(com[2]))),
-        WrenchNoise(
-            (level * NOISE_FORCE[0], level * NOISE_FORCE[1], level * NOISE_FORCE[2]), level * NOISE_TORQUE, NOISE_BAND
-        ),
-    ]
+
+def wrench_noise() -> Disturbance:
+    """Noise of rotors in their own wake and the wall's."""
+    return WrenchNoise(NOISE_FORCE, NOISE_TORQUE, NOISE_BAND)
