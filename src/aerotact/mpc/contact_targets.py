@@ -132,9 +132,9 @@ def add_contact(
         reachable = force_rate * time
         f_push = wanted * (now + ca.fmin(ca.fmax(f_ref[k] - now, -reachable), reachable))
         sliding = tangential(n, v_WE_d[k])
-        speed = ca.sqrt(ca.sumsqr(sliding) + 1e-12)
-        moving = speed / ca.sqrt(speed**2 + SLIDING**2)
-        friction_W = felt_W + moving * (-friction * sliding / speed - felt_W)
+        pace = ca.sqrt(ca.sumsqr(sliding) + 1e-12)
+        moving = pace / ca.sqrt(pace**2 + SLIDING**2)
+        friction_W = felt_W + moving * (-friction * sliding / pace - felt_W)
         columns.append(
             [n, offset, friction_W, stiffness, damping, pushing, f_push, wanted, approaching, speed, near, slow + margin, slope]
         )
