@@ -7,7 +7,8 @@ Three modes follow from the force wanted, the surface seen and the contact felt:
     push      a force is wanted and the tip is in contact: along the normal the force is controlled, not the position
 
 The force wanted begins at `preload` when contact is made and follows the reference within `force_rate`, so that a ramp
-that has begun before contact does no harm.
+that has begun before contact does no harm. It never exceeds `preload` and LEAD times what is felt: a tip that has bounced
+off shall not be thrown back.
 """
 
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ FORCE_WANTED = 0.05  # N; a smaller reference is none
 FAR = 10.0  # m before the tip, where a surface is put that is not seen
 SLIDING = 0.02  # m/s; where less is wanted, the friction felt goes on rather than that of sliding
 LOADED = 0.5  # N; below, the friction felt says little
+LEAD = 2.0  # of the force wanted before the force felt
 FELT_RATE = 30.0  # rad/s, at which the friction felt is followed
 
 CONTACT_PORTS = (
@@ -116,7 +118,8 @@ def add_contact(
     aim = b.state("f_push", 1, "N", doc="force wanted now")
     step = force_rate / rate
     start = ca.fmin(preload, f_ref[0])
-    now = ca.if_else(pushing, aim, start)
+    most = preload + LEAD * ca.fmax(normal, 0)
+    now = ca.if_else(pushing, ca.fmin(aim, most), start)
     b.update("f_push", now + ca.fmin(ca.fmax(f_ref[0] - now, -step), step))
     speed = ca.fmin(fast, slow + slope * ca.fmax(gap, 0))
 
@@ -130,7 +133,7 @@ def add_contact(
     columns, forces = [], []
     for k, time in enumerate(times):
         reachable = force_rate * time
-        f_push = wanted * (now + ca.fmin(ca.fmax(f_ref[k] - now, -reachable), reachable))
+        f_push = wanted * ca.fmin(now + ca.fmin(ca.fmax(f_ref[k] - now, -reachable), reachable), most)
         sliding = tangential(n, v_WE_d[k])
         pace = ca.sqrt(ca.sumsqr(sliding) + 1e-12)
         moving = pace / ca.sqrt(pace**2 + SLIDING**2)
