@@ -36,6 +36,7 @@ _TRUTH = {
     "servo": ("rad", ""),
     "p_tools_W": ("m", "W"),
     "f_tools_W": ("N", "W"),
+    "objects_W": ("1", "W"),
     "p_WE": ("m", "W"),
     "q_WE": ("1", "W"),
     "v_WE": ("m/s", "W"),

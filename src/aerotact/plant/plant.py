@@ -131,6 +131,9 @@ class Plant:
         self._thrusts = model.actuator_actadr[self._actuators]
         self.servos = TiltServos(self.robot, model, self.data)
         self.joints = Joints(self.robot, model, self.data)
+        own = {alone.body(body).name for body in range(1, alone.nbody)}
+        free = model.body_dofnum == 6
+        self._objects = [int(i) for i in np.flatnonzero(free) if model.body(int(i)).name not in own]
         self._hover_qpos, self._hover_qvel = model.qpos0.copy(), np.zeros(model.nv)
         self._hover_act, self._hover_ctrl = np.zeros(model.na), np.zeros(model.nu)
         for body in np.flatnonzero(alone.body_jntnum):
@@ -145,6 +148,11 @@ class Plant:
             self._hover_ctrl[new] = alone.key_ctrl[key, index]
             if alone.actuator_actnum[index]:
                 self._hover_act[model.actuator_actadr[new]] = alone.key_act[key, alone.actuator_actadr[index]]
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Names of the world's free bodies, in the order of `objects_W` in `truth`."""
+        return tuple(self.model.body(index).name for index in self._objects)
 
     @property
     def time(self) -> float:
@@ -326,6 +334,7 @@ class Plant:
             joint (rad), joint_rate (rad/s): passive and arm joints, shape (k,); servo (rad): shafts of servos,
             shape (s,); p_tools_W (m) and f_tools_W (N): the arms' tools and the force of the environment on them,
             contact and disturbances, shape (3 arms,); left out if there are none;
+            objects_W: position (m) and attitude (wxyz) of each free body of the world, shape (7 n,), likewise;
             p_WE (m), q_WE (wxyz), v_WE (m/s, in W): the tool, left out without one;
             f_tool_W: force of the environment on the tool, contact and disturbances, N;
             f_contact_W: the contact's part of it, normal force and friction, N.
@@ -341,6 +350,9 @@ class Plant:
             **self.servos.truth(),
             **self.joints.truth(),
         }
+        if self._objects:
+            poses = [np.concatenate([data.xpos[i], data.xquat[i]]) for i in self._objects]
+            values["objects_W"] = np.concatenate(poses)
         if self.tip.site >= 0:
             q_WE = np.zeros(4)
             mujoco.mju_mat2Quat(q_WE, data.site_xmat[self.tip.site])
