@@ -1,11 +1,12 @@
-"""suarez2020: compliant bimanual aerial manipulation, standard and long reach (IEEE Access 8, 2020).
+"""suarez2020: compliant bimanual aerial manipulation, standard and long reach configurations (IEEE Access 8, 2020).
 
-Arms: `compliant_joint` (14)-(22), `cartesian_motion` (23)-(24), `contact_force` (25)-(28), `bimanual` (29)-(33),
-`arm_control`, which joins them. Where the printed equations cannot stand, docs/errata.md says what is implemented.
-Forces of the tools are by the robot on the environment.
+The platform flies on four nested controllers ('Aerial platform', Figure 15); the arms' reaction is compensated. The
+arms: `compliant_joint` (14)-(22), `cartesian_motion` (23)-(24), `contact_force` (25)-(28), `bimanual` (29)-(33), and
+`arm_control`, which joins them. One module a part; every law of the package is found through its module's `LAWS`. Where
+the printed equations cannot stand, docs/errata.md says what is implemented and why. What the arms control, f_<arm>_d and
+f_<arm>_W, is the force of the robot on the environment; f_tools_W is that of the environment on the robot.
 """
 
-from aerotact.laws.suarez2020.bench_arms import suarez2020_arms
-from aerotact.laws.suarez2020.joint_control import suarez2020_joint_control
+from aerotact.discovery import collect
 
-LAWS = {"suarez2020_arms": suarez2020_arms, "suarez2020_joint_control": suarez2020_joint_control}
+LAWS = collect(__name__, "LAWS")
