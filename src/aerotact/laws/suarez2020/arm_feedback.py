@@ -54,13 +54,15 @@ class ArmFeedback:
         theta: servo angles, rad, (4,).
         q: joint angles, rad, (4,).
         r: tool in frame i, (6), m, (3,).
-        force: of the tool on the environment in frame i, N, (3,).
+        force: of the tool on the environment in frame i, as the encoders alone tell, N, (3,).
+        acting: the same as taken for true: what is told, and what is measured along what is ruled, N, (3,).
     """
 
     theta: Any
     q: Any
     r: Any
     force: Any
+    acting: Any
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ class InstrumentedArm:
             torque = kin.gravity_torque(q, frame.up) + ca.mtimes(kin.jacobian(q).T, load * frame.up + acting)
             loaded = theta - torque / ca.DM(kin.stiffness)
             q = ca.vertcat(*[q[j] if j in self.joints else loaded[j] for j in range(4)])
-        return ArmFeedback(theta, q, kin.forward(q), force)
+        return ArmFeedback(theta, q, kin.forward(q), force, acting)
 
     def _link(self, joint: int, theta: Any, heard: Heard) -> Any:
         """Angle of a link: as measured, or that of its shaft."""
