@@ -154,6 +154,11 @@ class Plant:
         """Names of the world's free bodies, in the order of `objects_W` in `truth`."""
         return tuple(self.model.body(index).name for index in self._objects)
 
+    def objects_seen(self) -> dict[str, Array]:
+        """`objects_W` of `truth`; nothing if the world has no free bodies."""
+        poses = [np.concatenate([self.data.xpos[i], self.data.xquat[i]]) for i in self._objects]
+        return {"objects_W": np.concatenate(poses)} if poses else {}
+
     @property
     def time(self) -> float:
         """Simulated time, s."""
@@ -350,9 +355,7 @@ class Plant:
             **self.servos.truth(),
             **self.joints.truth(),
         }
-        if self._objects:
-            poses = [np.concatenate([data.xpos[i], data.xquat[i]]) for i in self._objects]
-            values["objects_W"] = np.concatenate(poses)
+        values |= self.objects_seen()
         if self.tip.site >= 0:
             q_WE = np.zeros(4)
             mujoco.mju_mat2Quat(q_WE, data.site_xmat[self.tip.site])
