@@ -121,7 +121,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         (transcription.retract, f"{name}_retract", ["x", "dx"], ["moved"]),
         (transcription.difference, f"{name}_difference", ["from", "to"], ["dx"]),
         (transcription.rest, f"{name}_rest", ["x"], ["rest"]),
-        (transcription.command, f"{name}_command", ["x", "u"], ["command"]),
+        (transcription.command, f"{name}_command", ["x", "u", "stage"], ["command"]),
     ]
     return RtiSources(files, functions, context)
 
