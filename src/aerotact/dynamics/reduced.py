@@ -448,13 +448,17 @@ class Reduced(Model):
     # sensors
 
     def sensed(self, x: Any) -> dict[str, Any]:
-        """What the encoders say of x at rest, without noise, as `Multibody.sensed`."""
-        servos = ca.SX(ca.DM(self.full.hover_servo))
+        """What encoders and their estimator say of x at rest, without noise: as `Multibody.sensed`, and all joints."""
+        s, full = self.state.split(x), self.full
+        servos = ca.SX(ca.DM(full.hover_servo))
         servos[self.working.tolist()] = self.holding_servo(x, ca.DM([0, 0, -1]))
-        whole = self.full.state.pack({})
-        known = {"joint": self.all_joints(x), "servo": servos}
-        parts = [known.get(port.name, ca.DM(whole[self.full.state.slice(port.name)])) for port in self.full.state]
-        return self.full.sensed(ca.vertcat(*parts))
+        joint, rate = self.all_joints(x), ca.SX.zeros(full.joints)
+        if self.passive:
+            rate[: self.passive] = s["passive_rate"]
+        known = {"joint": joint, "servo": servos}
+        rest = full.state.unpack(full.state.default)
+        whole = ca.vertcat(*[known.get(name, ca.DM(value)) for name, value in rest.items()])
+        return {**full.sensed(whole), "joint": joint, "joint_rate": rate}
 
     # tool
 

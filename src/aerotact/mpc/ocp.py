@@ -131,7 +131,7 @@ def load_ocp(name_or_path: str | Path, model: Model, delay: float | None = None)
     for name in file.constraints:
         if name in BOUNDS and file.constraints[name] != "hard":
             raise ProblemError(path, f"constraints.{name}", "is a limit of the actuators", 'it can only be "hard"')
-    model = predictor_of(model, file.problem.arms)
+    whole, model = model, predictor_of(model, file.problem.arms)
     residuals = [RESIDUALS[name] for name in file.residuals]
     needs = [
         *file.problem.needs,
@@ -159,19 +159,20 @@ def load_ocp(name_or_path: str | Path, model: Model, delay: float | None = None)
         raise ProblemError(path, "parameters", str(error), "one number, or one a coordinate") from error
     targets = Targets(block, targets.stage, targets.telemetry)
     try:
-        fallback = laws()[file.problem.fallback](model, file.problem.rate)
+        fallback = laws()[file.problem.fallback](whole, file.problem.rate)
     except MissingCapability as error:
         raise MissingCapability(f"problem '{path.stem}', fallback: {error}") from error
-    _check_fallback(path, fallback, targets.block)
+    _check_fallback(path, fallback, targets.block, model)
     transcription = transcribe(_state(path, file, model, targets, residuals))
     own = {f.name: getattr(transcription, f.name) for f in fields(Transcription)}
     return Ocp(**own, path=path, file=file, model=model, targets=targets, fallback=fallback)
 
 
-def _check_fallback(path: Path, fallback: Block, block: Block) -> None:
-    if fallback.limiter is None:
+def _check_fallback(path: Path, fallback: Block, block: Block, model: Model) -> None:
+    first = model.commands.ports[0].name
+    if first not in fallback.output:
         raise ProblemError(
-            path, "problem.fallback", f"'{fallback.name}' commands no thrust", "choose a law whose output is thrust_cmd"
+            path, "problem.fallback", f"'{fallback.name}' gives no {first}", f"choose a law that gives {first}"
         )
     for group in ("measurement", "reference", "parameters"):
         theirs, ours = getattr(fallback, group), getattr(block, group)
