@@ -36,8 +36,8 @@ from aerotact.ports import Array, Layout, Port
 _DUST = 1e-15
 
 # Shares of a rotor's headroom at hover: any total thrust and torque within the limits leave every rotor in its range.
-_SHARE_THRUST = 0.35
-_SHARE_TORQUE = (0.25, 0.25, 0.15)
+_SHARE_THRUST = 0.2
+_SHARE_TORQUE = (0.15, 0.15, 0.5)
 
 
 @dataclass(frozen=True)
