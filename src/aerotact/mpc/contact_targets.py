@@ -7,8 +7,8 @@ Three modes follow from the force wanted, the surface seen and the contact felt:
     push      a force is wanted and the tip is in contact: along the normal the force is controlled, not the position
 
 The force wanted begins at `preload` when contact is made and follows the reference within `force_rate`, so that a ramp
-that has begun before contact does no harm. It never exceeds `preload` and LEAD times what is felt: a tip that has bounced
-off shall not be thrown back.
+that has begun before contact does no harm. It never exceeds `preload` and LEAD times what is felt: a tip that has
+bounced off shall not be thrown back.
 """
 
 from dataclasses import dataclass
@@ -139,7 +139,21 @@ def add_contact(
         moving = pace / ca.sqrt(pace**2 + SLIDING**2)
         friction_W = felt_W + moving * (-friction * sliding / pace - felt_W)
         columns.append(
-            [n, offset, friction_W, stiffness, damping, pushing, f_push, wanted, approaching, speed, near, slow + margin, slope]
+            [
+                n,
+                offset,
+                friction_W,
+                stiffness,
+                damping,
+                pushing,
+                f_push,
+                wanted,
+                approaching,
+                speed,
+                near,
+                slow + margin,
+                slope,
+            ]
         )
         forces.append(touching * ca.if_else(wanted, f_push, ca.fmax(normal, 0)) * (n + friction_W))
     telemetry = [
