@@ -296,10 +296,13 @@ def bench(
     passes: Annotated[int, typer.Option(min=1, help="Timed passes over them.")] = 5,
     horizon: Annotated[list[int] | None, typer.Option(min=1, help="Intervals for the growth; may be repeated.")] = None,
     solvers: Annotated[
-        list[str] | None, typer.Option("--solver", "-s", help="aerotact, acados, osqp, casadi, ipopt; may be repeated.")
+        list[str] | None,
+        typer.Option("--solver", "-s", help="aerotact, acados, hpipm, osqp, casadi, ipopt; may be repeated."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the steps of the reference.")] = 11,
-    blocks: Annotated[str, typer.Option(help="Robot whose laws and estimators are timed; 'none' for none.")] = "none",
+    blocks: Annotated[
+        list[str] | None, typer.Option(help="Robot whose laws and estimators are timed; may be repeated.")
+    ] = None,
     json_file: JsonOption = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for page, numbers and plot.")] = Path(
         "results/bench"
@@ -319,8 +322,7 @@ def bench(
     for name in solvers or []:
         if name not in KINDS:
             raise UnknownName("solver", name, KINDS)
-    robot = None if blocks == "none" else blocks
-    options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, robot)
+    options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, blocks or ())
     make_folder(output)
     with progress_bar() as progress:
         task = progress.add_task("", total=None)

@@ -175,7 +175,7 @@ def fly(
         _controller(controller_project(name, model, robot.file.sensors.imu.rate), spec.estimators.get(name, {}))
         for name in estimator_names(robot)
     ]
-    plant = Plant(robot, experiment.world, disturbances=experiment.disturbances(case, model), seed=seed)
+    plant = Plant(robot, experiment.world, disturbances=experiment.disturbances(case, model, seed), seed=seed)
     sensors = Sensors(plant, robot, seed)
     loop = Loop(
         plant, sensors, chain, controllers, Wiring(experiment.reference(case, model), options.truth, options.delay)

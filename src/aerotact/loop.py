@@ -40,6 +40,7 @@ _TRUTH = {
     "joint_rate": ("rad/s", ""),
     "servo": ("rad", ""),
     "p_tools_W": ("m", "W"),
+    "f_tools_W": ("N", "W"),
     "p_WE": ("m", "W"),
     "q_WE": ("1", "W"),
     "v_WE": ("m/s", "W"),

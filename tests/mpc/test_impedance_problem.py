@@ -54,7 +54,7 @@ class Moved:
         motion = Waypoints(*model.hover_tool, [1.0, 2.0], offsets, turns)
         return Together((WithFlags(motion, {"calibrate": (0.0, 0.5)}), NoForce()))
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         return [ToolForce(PUSH, 3.0, 7.0, ramp=0.3)]
 
     def metrics(self, case: Case, log: Log) -> dict[str, Metric]:

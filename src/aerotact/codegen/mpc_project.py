@@ -7,7 +7,8 @@ from typing import Any
 from aerotact.codegen.backends import BACKENDS
 from aerotact.codegen.example import make_example
 from aerotact.codegen.functions import number
-from aerotact.codegen.project import CProject, assemble, block_context, limit_function, manifest
+from aerotact.codegen.linked import linked_context
+from aerotact.codegen.project import CProject, assemble, block_context, in_single_precision, limit_function, manifest
 from aerotact.codegen.rti_sources import FunctionRow, numbers, rti_sources
 from aerotact.mpc.ocp import Ocp, limiter_of
 from aerotact.ports import Block, Layout
@@ -40,9 +41,11 @@ def mpc_project(ocp: Ocp) -> CProject:
     block = mpc_block(ocp)
     context = block_context(block, model.robot)
     context["mpc"] = _context(ocp)
-    rti = rti_sources(ocp, ocp.file.solver.backend, f"{ocp.path}, solver.backend")
+    precision = ocp.file.solver.precision
+    rti = rti_sources(ocp, ocp.file.solver.backend, f"{ocp.path}, solver.backend", precision)
     context["rti"] = rti.context
-    context["caveat"] = BACKENDS[ocp.file.solver.backend].caveat
+    backend = BACKENDS[ocp.file.solver.backend]
+    context["caveat"], context["linked"] = backend.caveat, linked_context(backend.linked)
     functions: list[FunctionRow] = [
         (ocp.targets.block.step, f"{name}_prepare", ["z", "y", "r", "p"], ["z_next", "out"]),
         *rti.functions,
@@ -52,12 +55,15 @@ def mpc_project(ocp: Ocp) -> CProject:
     example = make_example(name, model, ocp.rate, block.measurement, block.reference, block.output, limited=True)
     inputs = hashlib.sha256(ocp.path.read_bytes()).hexdigest()
     extra = {
+        "precision": precision,
         "times_s": [float(t) + ocp.file.problem.delay for t in ocp.times],
         "ocp": {"file": ocp.path.name, "sha256": inputs, "backend": ocp.file.solver.backend, "steps": ocp.steps},
         **({"caveat": context["caveat"]} if context["caveat"] else {}),
     }
     text = manifest(block, model.robot, extra)
-    return assemble(context, functions, example, "mpc.c.jinja", text, rti.files)
+    context["precision"] = precision
+    project = assemble(context, functions, example, "mpc.c.jinja", text, rti.files)
+    return in_single_precision(project) if precision == "single" else project
 
 
 def _map(target: Layout, source: Layout) -> list[tuple[int, int, int]]:

@@ -87,8 +87,8 @@ class Experiment(Protocol):
     def reference(self, case: Case, model: Model) -> Reference:
         """What the tool should do."""
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
-        """What acts on the plant."""
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
+        """What acts on the plant. What differs from machine to machine is drawn by the seed of the run."""
 
     def metrics(self, case: Case, log: Log) -> dict[str, Metric]:
         """Metrics of the experiment's own, for one run; names end in the case's name where they are of one case."""

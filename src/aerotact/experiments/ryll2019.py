@@ -102,7 +102,7 @@ class PropertyShaping:
         """Hover at the keyframe, with the observer's calibration at the start."""
         return WithFlags(Hold(*model.hover_tool), {"calibrate": CALIBRATE})
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The cable."""
         return [ToolForce((PULL, 0.0, 0.0), PULL_START, PULL_STOP, CABLE_OFFSET_E)]
 
@@ -255,7 +255,7 @@ class FreeFlight:
         tour = Waypoints(*model.hover_tool, times=list(_WAYPOINTS), offsets=_OFFSETS, turns=turns_E)
         return WithFlags(tour, {"calibrate": CALIBRATE})
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """None."""
         return []
 

@@ -108,6 +108,7 @@ class SolverEntry(_Strict):
     """[solver]: back end and settings."""
 
     backend: str = "aerotact"
+    precision: Literal["double", "single"] = "double"
     levenberg_marquardt: float = Field(default=1e-6, ge=0)
     iterations: int = Field(default=1, ge=1)
     shift: bool = False

@@ -55,7 +55,7 @@ class ForceStepsOnWall:
         """To the wall and stay; force from then on."""
         return Together((in_front_of_wall(model, 0.0), ForceSteps(STEPS)))
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """None."""
         return []
 

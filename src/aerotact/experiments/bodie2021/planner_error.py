@@ -1,4 +1,7 @@
-"""Planner error: a force is wanted, but the surface is not where the plan has it (bodie2021 V-C, Fig. 10)."""
+"""Planner error: a force is wanted, but the surface is not where the plan has it (bodie2021 V-C, Fig. 10).
+
+Beside the paper's three cases, free flight beside a wall: nothing may pass for a contact or a wish for force there.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,10 +11,12 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.bodie2021.controllers import TABLE_IV, controllers
-from aerotact.experiments.bodie2021.wall import in_front_of_wall
+from aerotact.experiments.bodie2021.disturbed import drawn_machine, wrench_noise
+from aerotact.experiments.bodie2021.wall import CALIBRATE, DEPART, WALL, in_front_of_wall
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.force_profile import ForceProfile, press
-from aerotact.experiments.reference import Together
+from aerotact.experiments.reference import Together, WithFlags
+from aerotact.experiments.trajectory import Move, Sampled, rest_to_rest
 from aerotact.log import Log
 from aerotact.loop import Reference
 from aerotact.metrics import Metric, push_force, rmse
@@ -24,6 +29,11 @@ RAMPS = press(9.0, 19.0, FORCE)
 HOLD = (RAMPS[0].stop, RAMPS[1].start)  # s
 END = 22.0  # s
 GAPS = {"near": 0.0, "0.25m": 0.25, "0.6m": 0.6}  # m of the set-point in front of the wall
+BESIDE = "beside"
+# The flight beside the wall: when the tool is there, s; its distance from the wall, across and up from hover, m.
+_WAY = ((5.5, 0.25, 0.2, 0.0), (7.0, 0.3, -0.2, 0.1), (8.5, 0.5, 0.0, 0.0))
+MISGUIDED = (9.0, 10.5)  # s, a force is wanted although the wall is at the last of these distances, beyond d_max
+AWAY = 11.0  # s
 ATTEMPT = 1e-3  # confidence from which force control counts as attempted
 
 
@@ -41,6 +51,7 @@ class PlannerError:
         Case("near", "set-point on the wall", END, HOLD),
         Case("0.25m", "set-point 0.25 m in front of the wall", END, HOLD),
         Case("0.6m", "set-point 0.6 m in front of the wall", END, HOLD),
+        Case(BESIDE, "free flight 0.25 to 0.5 m beside the wall, then a force wanted at 0.5 m", AWAY, (DEPART, AWAY)),
     )
     paper: Mapping[str, PaperNumber] = field(
         default_factory=lambda: {
@@ -50,15 +61,19 @@ class PlannerError:
     )
 
     def reference(self, case: Case, model: Model) -> Reference:
-        """To the set-point and stay; the force ramps up there, holds, and ramps down."""
+        """To the set-point and stay; the force ramps up there, holds, and ramps down. Or along the wall."""
+        if case.name == BESIDE:
+            return beside_wall(model)
         return Together((in_front_of_wall(model, GAPS[case.name]), ForceProfile(RAMPS)))
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
-        """None."""
-        return []
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
+        """None in the paper's cases; beside the wall a machine with errors of its own, and wrench noise."""
+        return [*drawn_machine(seed), wrench_noise()] if case.name == BESIDE else []
 
     def metrics(self, case: Case, log: Log) -> dict[str, Metric]:
         """Force control beyond d_max, the largest confidence, and whether the robot is steady and upright."""
+        if case.name == BESIDE:
+            return _beside_metrics(log)
         trust = confidence(log.columns)
         beyond = (log["surface_distance_est"][:, 0] > D_MAX) & (trust > ATTEMPT)
         held, after = log.window(HOLD[1] - 2.0, HOLD[1]), log.window(END - 1.0, END)
@@ -76,7 +91,9 @@ class PlannerError:
     def plot(self, runs: Mapping[tuple[str, str], Mapping[str, Array]], folder: Path) -> list[Path]:
         """Fig. 10: confidence, distance and wanted force, for each controller and case."""
         labels = list(dict.fromkeys(controller for controller, _ in runs))
-        found = [case for case in self.cases if any((name, case.name) in runs for name in labels)]
+        found = [case for case in self.cases if case.name in GAPS and any((name, case.name) in runs for name in labels)]
+        if not found:
+            return []
         title = f"{self.name}: confidence, distance and wanted force, as in Fig. 10"
         figure, axes = panels(len(labels), len(found), title, width=4.0)
         for row, controller in zip(axes, labels, strict=True):
@@ -95,6 +112,31 @@ class PlannerError:
                 axis.get_legend().remove()
             row[0].legend(loc="upper left", ncols=2)
         return [save(figure, folder / "fig10.png")]
+
+
+def beside_wall(model: Model) -> Reference:
+    """To and fro before the wall without a wish for force, then one out of reach of it."""
+    p_WE, q_WE = model.hover_tool
+    moves, before = [], DEPART
+    for there, gap, across, up in _WAY:
+        moves.append(Move(before, there, np.array([WALL - gap, p_WE[1] + across, p_WE[2] + up]), q_WE))
+        before = there
+    motion = WithFlags(Sampled(rest_to_rest(p_WE, q_WE, moves)), {"calibrate": CALIBRATE})
+    return Together((motion, ForceProfile(press(*MISGUIDED, FORCE))))
+
+
+def _beside_metrics(log: Log) -> dict[str, Metric]:
+    """False contacts: rows in which a contact is felt or force control attempted; nearest and furthest distance."""
+    rows = log.window(DEPART, AWAY)
+    felt = log["contact_est"][rows, 0] if "contact_est" in log else np.zeros(1)
+    gap = log["surface_distance"][rows, 0]
+    return {
+        "false_contacts": Metric(int((felt > 0).sum()), "1"),
+        "false_attempts": Metric(int((confidence(log.columns)[rows] > ATTEMPT).sum()), "1"),
+        "true_contacts": Metric(int((push_force(log.columns)[rows] > 0).sum()), "1"),
+        "nearest": Metric(float(gap.min()), "m"),
+        "furthest": Metric(float(gap.max()), "m"),
+    }
 
 
 def confidence(log: Mapping[str, Array]) -> Array:

@@ -52,7 +52,7 @@ class PlannerOffset:
         """To the set-point and stay; the force ramps up there, holds, and ramps down."""
         return Together((in_front_of_wall(model, GAPS[case.name]), ForceProfile(RAMPS)))
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """None."""
         return []
 

@@ -113,7 +113,7 @@ class PushAndSlide:
         push = ForceProfile([Ramp(*RAMP, force), Ramp(*LIFT, 0.0)] if force else [])
         return Together([WithFlags(Sampled(motion), {"calibrate": CALIBRATE}), push])
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The disturbed machine; in one case the tool is not where it is believed to be."""
         yaw: list[Disturbance] = [ToolYawError(float(np.deg2rad(YAW)))] if case.name == "5N-yaw" else []
         return [*yaw, *disturbed_machine()]

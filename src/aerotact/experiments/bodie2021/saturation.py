@@ -98,7 +98,7 @@ class Saturation:
         motion = Sampled(rest_to_rest(p_WE, q_WE, moves))
         return Together([WithFlags(motion, {"calibrate": CALIBRATE}), ForceProfile([Ramp(*RAMP, PUSH)])])
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The wind."""
         return [Wind((0.0, WIND, 0.0), GUST, END + 1.0)]
 

@@ -1,6 +1,6 @@
 """Experiments of suarez2020: one module an experiment; each offers its own in a constant `EXPERIMENTS`.
 
-`robots` names the two configurations, `flight_plan` says what the platform should do, `controllers` who flies it.
+`flight_plan` says what the platform should do; `controllers` who flies it.
 """
 
 import importlib

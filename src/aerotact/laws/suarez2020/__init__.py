@@ -1,8 +1,9 @@
-"""suarez2020: compliant bimanual aerial manipulation, standard and long reach configurations (IEEE Access 8, 2020).
+"""suarez2020: compliant bimanual aerial manipulation, standard and long reach (IEEE Access 8, 2020).
 
-The platform flies on four nested controllers ('Aerial platform', Figure 15); the arms' reaction is compensated. One
-module a part; every law of the package is found through its module's `LAWS`. Where the printed equations cannot stand,
-docs/errata.md says what is implemented and why. Forces of the tools are of the environment on the robot.
+Platform ('Aerial platform', Figure 15): `attitude`, `base`; forces of the tools are there of the environment on the
+robot. Arms: `compliant_joint` (14)-(22), `cartesian_motion` (23)-(24), `contact_force` (25)-(28), `bimanual` (29)-(33),
+`arm_control`, which joins them; forces of the tools are there by the robot on the environment. A module's laws are in
+its `LAWS`. Where the printed equations cannot stand, docs/errata.md says what is implemented.
 """
 
 from aerotact.discovery import collect

@@ -90,7 +90,7 @@ class Pid:
         return P * error + total + K_d * cutoff * (error - before)
 
 
-RATE_LOOP = Pid("K_w", "rad/s", (16.0, 16.0, 6.0), (20.0, 20.0, 6.0), (0.0, 0.0, 0.0), 20.0)
+RATE_LOOP = Pid("K_w", "rad/s", (20.0, 20.0, 6.0), (20.0, 20.0, 6.0), (0.0, 0.0, 0.0), 20.0)
 
 
 def allocation_inverse(model: Model) -> Array:
@@ -119,7 +119,7 @@ def thrusts(model: Model, lift: Any, tau_B: Any) -> Any:
 
 def add_attitude_loops(b: BlockBuilder, model: Model, rate: float, q_WB: Any, w_B: Any, r: AttitudeReference) -> None:
     """Parameters, states and the output `thrust_cmd` of the attitude and rate loops."""
-    K_q = b.parameter("K_q", 3, "1/s", (6.0, 6.0, 2.5), frame="B", doc="gain of the attitude's error", lower=0.0)
+    K_q = b.parameter("K_q", 3, "1/s", (7.0, 7.0, 2.5), frame="B", doc="gain of the attitude's error", lower=0.0)
     fastest = b.parameter("w_max", 1, "rad/s", 3.0, doc="fastest rate that the attitude's error asks for", lower=0.0)
     cutoff = b.parameter("w_cutoff", 1, "rad/s", 120.0, doc="low-pass of the derivative of the rate's error", lower=0.0)
     R_BBr = ca.mtimes(so3.rotation(q_WB).T, so3.rotation(r.q_WB))

@@ -34,7 +34,7 @@ from aerotact.laws.suarez2020.attitude import (
 from aerotact.ports import Array, Block, BlockBuilder
 from aerotact.robot import HOVER_KEYFRAME
 
-VELOCITY_LOOP = Pid("K_v", "m/s", (3.0, 3.0, 4.0), (1.0, 1.0, 1.5), (0.0, 0.0, 0.0), 3.0)
+VELOCITY_LOOP = Pid("K_v", "m/s", (2.5, 2.5, 4.0), (0.9, 0.9, 1.5), (0.0, 0.0, 0.0), 3.0)
 LEAST_LIFT = 0.3  # of the weight: the vertical force is never less, so that the attitude is defined
 
 
@@ -92,7 +92,7 @@ def add_position_loops(b: BlockBuilder, model: Multibody, rate: float, base: Bas
     a_r = b.reference("a_WB_r", 3, "m/s^2", frame="W", doc="acceleration of the base")
     yaw_r = b.reference("yaw_r", 1, "rad", doc="yaw of the base")
     f_tools_r = b.reference("f_tools_W_r", 3 * arms, "N", frame="W", doc="force of the environment on each arm's tool")
-    K_p = b.parameter("K_p", 3, "1/s", (1.6, 1.6, 2.0), frame="W", doc="gain of the position's error", lower=0.0)
+    K_p = b.parameter("K_p", 3, "1/s", (1.4, 1.4, 2.0), frame="W", doc="gain of the position's error", lower=0.0)
     fastest = b.parameter("v_max", 1, "m/s", 1.5, doc="highest speed that the position's error asks for", lower=0.0)
     cutoff = b.parameter(
         "v_cutoff", 1, "rad/s", 30.0, doc="low-pass of the derivative of the velocity's error", lower=0.0
@@ -104,7 +104,7 @@ def add_position_loops(b: BlockBuilder, model: Multibody, rate: float, base: Bas
     v_c = v_r + limited(K_p * (p_r - base.p_WB), fastest)
     if model.passive:
         joint_rate = b.measurement("joint_rate", model.joints, "rad/s", doc="rates of the joint angles")
-        K_swing = b.parameter("K_swing", model.passive, "m", 0.5, doc="speed of the base per rate of a passive joint")
+        K_swing = b.parameter("K_swing", model.passive, "m", 0.15, doc="speed of the base per rate of a passive joint")
         way_W = ca.mtimes(R_WB, ca.mtimes(ca.DM(swing_directions(model)), K_swing * joint_rate[: model.passive]))
         v_c += ca.vertcat(way_W[0:2], 0)
     a_c = a_r + VELOCITY_LOOP.add(b, rate, v_c - base.v_WB, "W", cutoff)
