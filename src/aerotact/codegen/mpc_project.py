@@ -31,17 +31,22 @@ def mpc_block(ocp: Ocp) -> Block:
     )
 
 
-def mpc_project(ocp: Ocp) -> CProject:
+def mpc_project(ocp: Ocp, precision: str | None = None) -> CProject:
     """The C project of an MPC.
+
+    Args:
+        ocp: the problem.
+        precision: "double" or "single", instead of the file's own.
 
     Raises:
         UnknownName: the ocp file names no back end that exists.
+        CodegenError: the back end lacks what the file wants.
     """
     name, model = ocp.name, ocp.model
     block = mpc_block(ocp)
     context = block_context(block, model.robot)
     context["mpc"] = _context(ocp)
-    precision = ocp.file.solver.precision
+    precision = precision or ocp.file.solver.precision
     rti = rti_sources(ocp, ocp.file.solver.backend, f"{ocp.path}, solver.backend", precision)
     context["rti"] = rti.context
     backend = BACKENDS[ocp.file.solver.backend]

@@ -12,7 +12,7 @@ from aerotact.dynamics.reduced import Arms, Reduced
 
 def surface(p: dict[str, Any]) -> Surface:
     """The surface that a stage's parameters tell of."""
-    return Surface(p["n_W"], p["offset"], p["friction"], p["stiffness"], p["damping"], p["rigid"])
+    return Surface(p["n_W"], p["offset"], p["friction_W"], p["stiffness"], p["damping"], p["rigid"])
 
 
 def wrench(p: dict[str, Any]) -> Any:

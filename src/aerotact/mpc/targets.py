@@ -203,7 +203,8 @@ def make_targets(
         (Port("v_WE_r", 3, "m/s", "W", "tool velocity aimed at"), target[0].v_WE),
     ]
     if "contact" in uses:
-        contact = add_contact(b, model.tool_pose(ca.vertcat(x, ca.SX.zeros(model.actuators.size))), times, rate)
+        tool = model.tool_pose(ca.vertcat(x, ca.SX.zeros(model.actuators.size)))
+        contact = add_contact(b, tool, [motion.v_WE for motion in target], times, rate)
         ports += CONTACT_PORTS
         telemetry += contact.telemetry
         for k, (column, own, motion) in enumerate(zip(columns, contact.columns, target, strict=True)):
