@@ -60,7 +60,9 @@ def add_arm_targets(
     goals = [_goals(b, model, name, base, yaw, nodes) for name in model.arms]
     push = _reference(b, f"f_{first}_d", "N", "force on the environment; 0 wants none", nodes)
     posture = b.parameter("joint_d", model.joints, "rad", at["joint"], doc="posture that the working arms return to")
-    parked = b.parameter("servo_d", model.full.servos, "rad", model.full.hover_servo, doc="servos of the other arms")
+    parked = ca.DM(model.full.hover_servo)
+    if model.joints < model.full.servos:
+        parked = b.parameter("servo_d", model.full.servos, "rad", model.full.hover_servo, doc="servos of arms at rest")
 
     speed = b.parameter("approach_speed", 1, "m/s", 0.06, doc="of the tool towards the surface", lower=0.0)
     lead = b.parameter("approach_lead", 1, "m", 0.03, doc="of the desired position before the tool", lower=0.0)
@@ -95,7 +97,7 @@ def add_arm_targets(
     kept = b.state("beyond", model.joints, "rad", doc="steady part of the servo angles beyond the static load")
     beyond = kept + first_order_gain(yielding, 1 / rate) * (now.servo - model.holding_servo(now.x, n_W) - kept)
     b.update("beyond", beyond)
-    shift = parked - ca.DM(model.full.hover_servo)
+    shift = ca.SX(parked - ca.DM(model.full.hover_servo))
     shift[model.working.tolist()] = beyond
 
     R_WB = so3.rotation(now.x[3:7])

@@ -134,6 +134,12 @@ def _elbow(model: Model, x: Any, p: dict[str, Any]) -> Any:
     return model.state.split(x)["joint"][_reduced(model).elbows]
 
 
+def _each(model: Model, limits: list[float] | None) -> list[float]:
+    """One number an arm, where one is given for all."""
+    given = limits or []
+    return given * len(_reduced(model).elbows) if len(given) == 1 else given
+
+
 def _listed(limits: tuple[Array, Array]) -> tuple[list[float], list[float]]:
     return limits[0].tolist(), limits[1].tolist()
 
@@ -207,7 +213,7 @@ ROWS = {
             ("lower", "upper"),
             (),
             _elbow,
-            lambda _, entry: (entry.lower or [], entry.upper or []),
+            lambda model, entry: (_each(model, entry.lower), _each(model, entry.upper)),
             lambda model: len(_reduced(model).elbows),
         ),
         Row(
