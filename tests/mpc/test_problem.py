@@ -44,7 +44,7 @@ FAULTS = {
     "unknown key": (
         "max_failures = 5",
         "max_faults = 5",
-        r"problem\.max_faults: Extra .*valid: delay, doc, duration, .*fallback",
+        r"problem\.max_faults: Extra .*valid: .*delay, doc, duration, fallback",
     ),
     "unknown table": ("[solver]", "[solvers]", r"solvers: Extra .*valid: constraints, parameters, problem, residuals"),
     "unknown solver key": ("backend =", "engine =", r"solver\.engine: Extra .*valid: backend, iterations"),
