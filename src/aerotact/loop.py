@@ -9,7 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -41,6 +41,7 @@ _TRUTH = {
     "servo": ("rad", ""),
     "p_tools_W": ("m", "W"),
     "f_tools_W": ("N", "W"),
+    "objects_W": ("1", "W"),
     "p_WE": ("m", "W"),
     "q_WE": ("1", "W"),
     "v_WE": ("m/s", "W"),
@@ -63,6 +64,25 @@ class Reference(Protocol):
 
     def sample(self, times: Array) -> Mapping[str, Array]:
         """Signal -> array (len(times), size) for every reference port that it serves."""
+
+
+@runtime_checkable
+class Operator(Reference, Protocol):
+    """A reference that decides as it goes: what it says of now and later may change with what it hears.
+
+    Attributes:
+        ports: signals that it serves for the log alone.
+    """
+
+    ports: Sequence[Port]
+
+    def decide(self, time: float, heard: Mapping[str, Array]) -> None:
+        """Hear, before each step of the outermost controller, what controllers could and where the world's objects are.
+
+        Args:
+            time: s.
+            heard: measurements and estimates by name, and `objects_W` of `Plant.truth` if there are any.
+        """
 
 
 @dataclass(frozen=True)
@@ -182,10 +202,11 @@ class Loop:
         dt = self.plant.timestep
         steps = round(duration / dt)
         reference = self.wiring.reference
-        tables = [_ReferenceTable(e, reference, self._imu_every, steps, dt) for e in self.estimators]
+        table = _LiveReference if isinstance(reference, Operator) else _ReferenceTable
+        tables = [table(e, reference, self._imu_every, steps, dt) for e in self.estimators]
         given: list[dict[str, Array]] = [{}, *self._handed]
         wanted = [
-            _ReferenceTable(c, reference, every, steps, dt, without=handed)
+            table(c, reference, every, steps, dt, without=handed)
             for c, every, handed in zip(self.controllers, self._control_every, given, strict=True)
         ]
         recorder = _Recorder(self.plant, self.controllers, given, reference, steps, self._sight, self._bus)
@@ -201,6 +222,8 @@ class Loop:
                         self._bus.update(self.sensors.joints.sample(name))
                 if k % self._imu_every == 0:
                     self._sense(k, tables)
+                if isinstance(reference, Operator) and k % self._control_every[0] == 0:
+                    reference.decide(k * dt, self._bus | self.plant.objects_seen())
                 for level, every in enumerate(self._control_every):
                     if k % every == 0:
                         late = self._control(k, level, wanted[level])
@@ -240,7 +263,7 @@ class Loop:
         if distance > LOST:
             raise LoopError(f"the robot is lost at {time:.2f} s: {distance:.0f} m from where it began")
 
-    def _sense(self, k: int, tables: Sequence["_ReferenceTable"]) -> None:
+    def _sense(self, k: int, tables: Sequence["_ReferenceTable | _LiveReference"]) -> None:
         bus = self._bus
         bus.update(self.sensors.imu())
         bus.update(self.sensors.rotor_speed())
@@ -265,7 +288,7 @@ class Loop:
         if self._sight and self.wiring.truth:
             bus.update(self._sight.truth())
 
-    def _control(self, k: int, level: int, table: "_ReferenceTable") -> float:
+    def _control(self, k: int, level: int, table: "_ReferenceTable | _LiveReference") -> float:
         controller = self.controllers[level]
         table.write(k)
         for name, view in controller.measurement.items():
@@ -369,6 +392,34 @@ class _ReferenceTable:
             view[:] = table[row]
 
 
+class _LiveReference:
+    """The references of one block, asked of an operator at each of its steps."""
+
+    def __init__(
+        self,
+        block: Controller,
+        reference: Reference,
+        every: int,
+        steps: int,
+        dt: float,
+        without: Collection[str] = (),
+    ) -> None:
+        self._reference, self._dt = reference, dt
+        self._nodes = np.array(block.manifest.get("times_s", [0.0]))
+        self._views = {name: view for name, view in block.reference.items() if name not in without}
+        served = reference.sample(np.zeros(1))
+        for name in self._views:
+            if name not in served:
+                raise LoopError(f"nothing serves the reference {name} of {block.name}; there is: {', '.join(served)}")
+
+    def write(self, k: int) -> None:
+        """Put the values of physics step k into the block."""
+        if self._views:
+            said = self._reference.sample(k * self._dt + self._nodes)
+            for name, view in self._views.items():
+                view[:] = said[name] if view.ndim > 1 else said[name][0]
+
+
 def _declared(port: Mapping[str, Any], suffix: str = "") -> Port:
     """A port of a manifest; of a preview the part that is now."""
     return Port(f"{port['name']}{suffix}", port["size"], port["unit"], port["frame"], kind=port["kind"])
@@ -414,20 +465,30 @@ class _Recorder:
         if sight:
             columns += SURFACE.values()
             columns += [replace(SURFACE[n], name=f"{n}_est") for n in self._unasked]
+        self._live = reference if isinstance(reference, Operator) else None
+        self._wanted = list(wanted)
+        if self._live:
+            columns += self._live.ports
+            self._wanted += [port.name for port in self._live.ports]
         self._ports = {port.name: port for port in columns}
         self._arrays = {name: np.full((steps, port.size), np.nan) for name, port in self._ports.items()}
         times: Array = np.arange(steps) * plant.timestep
         self._arrays["time"][:, 0] = times
         # Wanted is what the reference says at the row's time, and not what a slow controller last heard of it.
-        samples = reference.sample(times)
-        for name in wanted:
-            self._arrays[name][:] = samples[name]
+        if not self._live:
+            samples = reference.sample(times)
+            for name in self._wanted:
+                self._arrays[name][:] = samples[name]
 
     def record(self, k: int) -> None:
         """Row k."""
         arrays, truth = self._arrays, self._plant.truth()
         for name in self._truth_names:
             arrays[name][k] = truth[name]
+        if self._live:
+            said = self._live.sample(arrays["time"][k])
+            for name in self._wanted:
+                arrays[name][k] = said[name][0]
         for controller in self._controllers:
             for name, value in controller.output.items():
                 arrays[name][k] = value
