@@ -216,7 +216,7 @@ def fly(
         if metric.value is not None:
             table.add_row(name, f"{metric.value:.4g}", metric.unit)
     console.print(table)
-    for block, statuses in {"controller": log.statuses, **log.estimator_statuses}.items():
+    for block, statuses in {"controller": log.statuses, **log.inner_statuses, **log.estimator_statuses}.items():
         say(f"steps of {block}: {', '.join(f'{count} {status}' for status, count in statuses.items())}")
     if result.file is not None:
         say(f"log:     {result.file}")
@@ -224,7 +224,7 @@ def fly(
             runs = {(result.controller, chosen.name): read_columns(result.file)}
             for figure in found.plot(runs, folder / result.controller):
                 say(f"plot:    {figure}")
-    _picture(robot or found.robot, folder)
+    _picture(robot or chosen.robot or found.robot, folder)
     if result.fault:
         errors.print(f"[bold red]ended early:[/] {escape(result.fault)}; the log holds what was flown", soft_wrap=True)
         raise typer.Exit(6)
@@ -283,8 +283,9 @@ def compare(
     figures = found.plot(runs, folder) if runs else []
     for figure in figures:
         say(f"plot:    {figure}")
-    picture = _picture(robot or found.robot, folder)
-    page = write_report(comparison, found, [*([picture] if picture else []), *figures], folder / "report.html")
+    flown = [c.robot or found.robot for c in found.cases if not cases or c.name in cases]
+    pictures = [_picture(name, folder) for name in dict.fromkeys([robot] if robot else flown)]
+    page = write_report(comparison, found, [*(p for p in pictures if p), *figures], folder / "report.html")
     say(f"page:    {page}")
     say(f"numbers: {folder / 'compare.json'}")
     say(f"logs:    {folder}, one folder a controller")

@@ -77,10 +77,10 @@ def _map(target: Layout, source: Layout) -> list[tuple[int, int, int]]:
 
 
 def _context(ocp: Ocp) -> dict[str, Any]:
-    fallback, block = ocp.fallback, ocp.targets.block
+    fallback, block, commands = ocp.fallback, ocp.targets.block, ocp.model.commands
     groups = (("measurement", ocp.measurement), ("reference", ocp.reference), ("parameters", ocp.parameters))
     return {
-        "targets_measurement": block.measurement.size - ocp.statement.nu,
+        "targets_measurement": block.measurement.size - ocp.model.actuators.size,
         "prepared_size": block.output.size,
         "max_failures": ocp.file.problem.max_failures,
         "iterations": ocp.file.solver.iterations,
@@ -90,5 +90,10 @@ def _context(ocp: Ocp) -> dict[str, Any]:
         "fallback_state_size": fallback.state.size,
         "fallback_state": numbers(fallback.state.default),
         "fallback_sizes": {g: getattr(fallback, g).size for g in ("measurement", "reference", "parameters", "output")},
+        "fallback_commands": [
+            (commands.slice(p.name).start, fallback.output.slice(p.name).start, p.total)
+            for p in commands
+            if p.name in fallback.output
+        ],
         "fallback_maps": [(g, _map(getattr(fallback, g), source)) for g, source in groups],
     }

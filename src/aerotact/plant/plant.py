@@ -96,7 +96,7 @@ class Plant:
         self._warnings = self.data.warning.number
         self._xfrc = self.data.xfrc_applied
         self._pushed = False
-        self._push_W = np.zeros(3)
+        self._push_W = np.zeros((len(self.tips), 3))
         self._contact_W = np.zeros((len(self.tips), 3))
         for disturbance in disturbances:
             self.disturb(disturbance)
@@ -131,6 +131,9 @@ class Plant:
         self._thrusts = model.actuator_actadr[self._actuators]
         self.servos = TiltServos(self.robot, model, self.data)
         self.joints = Joints(self.robot, model, self.data)
+        own = {alone.body(body).name for body in range(1, alone.nbody)}
+        free = model.body_dofnum == 6
+        self._objects = [int(i) for i in np.flatnonzero(free) if model.body(int(i)).name not in own]
         self._hover_qpos, self._hover_qvel = model.qpos0.copy(), np.zeros(model.nv)
         self._hover_act, self._hover_ctrl = np.zeros(model.na), np.zeros(model.nu)
         for body in np.flatnonzero(alone.body_jntnum):
@@ -145,6 +148,16 @@ class Plant:
             self._hover_ctrl[new] = alone.key_ctrl[key, index]
             if alone.actuator_actnum[index]:
                 self._hover_act[model.actuator_actadr[new]] = alone.key_act[key, alone.actuator_actadr[index]]
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Names of the world's free bodies, in the order of `objects_W` in `truth`."""
+        return tuple(self.model.body(index).name for index in self._objects)
+
+    def objects_seen(self) -> dict[str, Array]:
+        """`objects_W` of `truth`; nothing if the world has no free bodies."""
+        poses = [np.concatenate([self.data.xpos[i], self.data.xquat[i]]) for i in self._objects]
+        return {"objects_W": np.concatenate(poses)} if poses else {}
 
     @property
     def time(self) -> float:
@@ -192,7 +205,7 @@ class Plant:
             tip.reset()
         self.rng = np.random.default_rng((self._seed, 1))
         self._pushed = False
-        self._push_W, self._contact_W = np.zeros(3), np.zeros((len(self.tips), 3))
+        self._push_W, self._contact_W = np.zeros((len(self.tips), 3)), np.zeros((len(self.tips), 3))
         mujoco.mj_forward(self.model, data)
         if data.ncon:
             for tip in self.tips:
@@ -236,16 +249,24 @@ class Plant:
             self._xfrc[body, 3:] += torque_W
         self._pushed = True
 
-    def push_tool(self, force_W: Array, offset_E: Array) -> None:
-        """Let a force act on the tool for the coming step; it counts in `f_tool_W`.
+    def push_tool(self, force_W: Array, offset_E: Array, arm: int | None = None) -> None:
+        """Let a force act on a tool for the coming step; it counts in `f_tool_W` and `f_tools_W`.
 
         Args:
             force_W: N, shape (3,).
             offset_E: point of attack in E, m, shape (3,).
+            arm: place in `robot.arms`; None is the tool that robot.toml names.
         """
-        R_WE = self.data.site_xmat[self.tip.site].reshape(3, 3)
-        self.push(self.tip.body, force_W, self.data.site_xpos[self.tip.site] + R_WE @ offset_E)
-        self._push_W = self._push_W + force_W
+        place = 0 if arm is None else self._order[arm]
+        site = self.tips[place].site
+        R_WE = self.data.site_xmat[site].reshape(3, 3)
+        self.push(self.tips[place].body, force_W, self.data.site_xpos[site] + R_WE @ offset_E)
+        self._push_W[place] += force_W
+
+    def tool_point(self, arm: int) -> tuple[Array, Array]:
+        """Position, m, and velocity, m/s, of a tool in W, shape (3,) each; `arm` is its place in `robot.arms`."""
+        tip = self.tips[self._order[arm]]
+        return self.data.site_xpos[tip.site].copy(), tip.velocity()[3:].copy()
 
     def step(self) -> None:
         """One step of the physics.
@@ -257,7 +278,7 @@ class Plant:
         if self._pushed:
             self._xfrc.fill(0.0)
             self._pushed = False
-            self._push_W = np.zeros(3)
+            self._push_W[:] = 0.0
         for disturbance in self.disturbances:
             disturbance.apply(self)
         self.servos.turn()
@@ -316,8 +337,9 @@ class Plant:
             command asked of the servos at the start of the last step, beyond their limits or not; shape (m,), left out
             if nothing tilts;
             joint (rad), joint_rate (rad/s): passive and arm joints, shape (k,); servo (rad): shafts of servos,
-            shape (s,); p_tools_W (m): the arms' tools, shape (3 arms,); left out if there are none;
-            f_tools_W (N): contact forces on the arms' tools, shape (3 arms,), likewise;
+            shape (s,); p_tools_W (m) and f_tools_W (N): the arms' tools and the force of the environment on them,
+            contact and disturbances, shape (3 arms,); left out if there are none;
+            objects_W: position (m) and attitude (wxyz) of each free body of the world, shape (7 n,), likewise;
             p_WE (m), q_WE (wxyz), v_WE (m/s, in W): the tool, left out without one;
             f_tool_W: force of the environment on the tool, contact and disturbances, N;
             f_contact_W: the contact's part of it, normal force and friction, N.
@@ -333,14 +355,15 @@ class Plant:
             **self.servos.truth(),
             **self.joints.truth(),
         }
+        values |= self.objects_seen()
         if self.tip.site >= 0:
             q_WE = np.zeros(4)
             mujoco.mju_mat2Quat(q_WE, data.site_xmat[self.tip.site])
             values["p_WE"] = data.site_xpos[self.tip.site].copy()
             values["q_WE"] = q_WE
             values["v_WE"] = self.tip.velocity()[3:].copy()
-            values["f_tool_W"] = self._contact_W[0] + self._push_W
+            values["f_tool_W"] = self._contact_W[0] + self._push_W[0]
             values["f_contact_W"] = self._contact_W[0].copy()
         if self._order:
-            values["f_tools_W"] = self._contact_W[self._order].ravel()
+            values["f_tools_W"] = (self._contact_W + self._push_W)[self._order].ravel()
         return values

@@ -1,4 +1,7 @@
-"""Experiments of suarez2020: one module an experiment; each offers its own in a constant `EXPERIMENTS`."""
+"""Experiments of suarez2020: one module an experiment; each offers its own in a constant `EXPERIMENTS`.
+
+`flight_plan` says what the platform should do; `controllers` who flies it.
+"""
 
 import importlib
 import pkgutil

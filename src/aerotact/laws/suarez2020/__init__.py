@@ -1,11 +1,11 @@
 """suarez2020: compliant bimanual aerial manipulation, standard and long reach (IEEE Access 8, 2020).
 
-Arms: `compliant_joint` (14)-(22), `cartesian_motion` (23)-(24), `contact_force` (25)-(28), `bimanual` (29)-(33),
-`arm_control`, which joins them. Where the printed equations cannot stand, docs/errata.md says what is implemented.
-Forces of the tools are by the robot on the environment.
+Platform ('Aerial platform', Figure 15): `attitude`, `base`; forces of the tools are there of the environment on the
+robot. Arms: `compliant_joint` (14)-(22), `cartesian_motion` (23)-(24), `contact_force` (25)-(28), `bimanual` (29)-(33),
+`arm_control`, which joins them; forces of the tools are there by the robot on the environment. A module's laws are in
+its `LAWS`. Where the printed equations cannot stand, docs/errata.md says what is implemented.
 """
 
-from aerotact.laws.suarez2020.bench_arms import suarez2020_arms
-from aerotact.laws.suarez2020.joint_control import suarez2020_joint_control
+from aerotact.discovery import collect
 
-LAWS = {"suarez2020_arms": suarez2020_arms, "suarez2020_joint_control": suarez2020_joint_control}
+LAWS = collect(__name__, "LAWS")

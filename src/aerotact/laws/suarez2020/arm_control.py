@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from aerotact.dynamics.multibody import Multibody
 from aerotact.exceptions import InputError
 from aerotact.laws.suarez2020.arm_feedback import ArmFeedback, ArmFrame, Heard, InstrumentedArm, instrumented_arms
-from aerotact.laws.suarez2020.bimanual import disconnected, lateral_forces
+from aerotact.laws.suarez2020.bimanual import blended, disconnected, lateral_forces
 from aerotact.laws.suarez2020.cartesian_motion import holding_angles, operated, towards, within_reach
 from aerotact.laws.suarez2020.compliant_joint import (
     LoopGains,
@@ -25,10 +26,9 @@ from aerotact.laws.suarez2020.compliant_joint import (
 from aerotact.laws.suarez2020.contact_force import (
     ForceGains,
     add_force_gains,
-    compliance,
     force_along,
-    force_correction,
-    next_correction,
+    force_corrections,
+    pushing_angles,
 )
 from aerotact.ports import BlockBuilder
 
@@ -40,12 +40,13 @@ LEAST_FORCE = 1e-3
 
 @dataclass(frozen=True)
 class ArmGains:
-    """Parameters that all arms share: of joints, of force, and speeds, m/s."""
+    """Parameters that all arms share: of joints, of force, and speeds, m/s, and gamma of (31)."""
 
     joint: LoopGains
     force: ForceGains
     speed: Any
     speed_max: Any
+    gamma: Any
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class ArmGoal:
         operated: 1 while the joystick counts and the goal does not.
         roll: imposed shoulder roll phi of (7), rad.
         force: on the environment in frame i, N, (3,).
+        told: the part of it that is asked for by its deflection and not by an error, N, (3,): what the other arm gives
+            too, and all of it where no encoder measures.
         load: mass carried, kg.
     """
 
@@ -66,6 +69,7 @@ class ArmGoal:
     operated: Any
     roll: Any
     force: Any
+    told: Any
     load: Any
 
 
@@ -107,14 +111,18 @@ def add_arms(b: BlockBuilder, model: Multibody, rate: float, heard: Heard) -> Ar
     tools = [_tool_state(b, model, arm) for arm in arms]
     lateral = _lateral(b, arms, tools)
     goals = tuple(_add_goal(b, model, *parts) for parts in zip(arms, frames, lateral, strict=True))
+    now = ticks < 0.5
+    forces = [_told(b, model, rate, gains, now, arm, goal) for arm, goal in zip(arms, goals, strict=True)]
+    told = [known for known, _ in forces]
     feedback = tuple(
-        arm.feedback(heard, frame, goal.load, goal.force) for arm, frame, goal in zip(arms, frames, goals, strict=True)
+        arm.feedback(heard, frame, goal.load, acting, goal.force - goal.told)
+        for arm, frame, goal, (_, acting) in zip(arms, frames, goals, forces, strict=True)
     )
     wanted = ca.SX.zeros(model.servos)
-    for arm, *parts in zip(arms, tools, frames, goals, feedback, strict=True):
-        wanted[list(arm.servos)] = _servo_angles(b, gains, ticks < 0.5, arm, *parts)
+    for arm, *parts in zip(arms, tools, frames, goals, told, feedback, strict=True):
+        wanted[list(arm.servos)] = _servo_angles(b, gains, now, arm, *parts)
     held = b.state("servo_held", model.servos, "rad", doc="last servo command", default=tuple(model.hover_servo))
-    servo_cmd = ca.if_else(ticks < 0.5, wanted, held)
+    servo_cmd = ca.if_else(now, wanted, held)
     b.update("servo_held", servo_cmd)
     return ArmsOutput(servo_cmd, arms, feedback, frames, goals)
 
@@ -147,6 +155,7 @@ def _add_gains(b: BlockBuilder) -> ArmGains:
         force=add_force_gains(b),
         speed=b.parameter("speed", 1, "m/s", 0.15, doc="v of (23), of the tools towards their goals", lower=0.0),
         speed_max=b.parameter("speed_max", 1, "m/s", 0.1, doc="v_max of (24), at full joystick", lower=0.0),
+        gamma=b.parameter("gamma", 1, "1", 0.5, doc="share of the force's corrections, (31)", lower=0.0, limit=1.0),
     )
 
 
@@ -181,14 +190,29 @@ def _add_goal(b: BlockBuilder, model: Multibody, arm: InstrumentedArm, frame: Ar
     roll = b.reference(f"roll_{name}", 1, "rad", doc="imposed shoulder roll, (7)", default=(float(q[1]),))
     force_W = b.reference(f"f_{name}_d", 3, "N", frame="W", doc="force on the environment; 0 wants none")
     load = b.reference(f"load_{name}", 1, "kg", doc="mass carried at the tool", lower=0.0, limit=10.0)
+    force = ca.mtimes(frame.R_WS.T, force_W)
     return ArmGoal(
         r=ca.if_else(in_W, frame.point(p_d), r_d),
         joystick=joystick,
         operated=operated_,
         roll=roll,
-        force=ca.mtimes(frame.R_WS.T, force_W) + lateral,
+        force=force + lateral,
+        told=lateral if arm.joints else force + lateral,
         load=load,
     )
+
+
+def _told(
+    b: BlockBuilder, model: Multibody, rate: float, gains: ArmGains, now: Any, arm: InstrumentedArm, goal: ArmGoal
+) -> tuple[Any, Any]:
+    """The told part of the force, N, (3,), on its way: as commanded, and as the servos' lag (17) lets it act."""
+    known = b.state(f"told_{arm.name}", 3, "N", doc=f"force of arm '{arm.name}' that needs no measurement")
+    acting = b.state(f"acting_{arm.name}", 3, "N", doc="the same behind the servos' lag")
+    told = towards(known, goal.told, gains.force.force_rate, 1.0 / SERVO_RATE)
+    lag = float(model.servo_time_constants[list(arm.servos)].mean())
+    b.update(f"told_{arm.name}", ca.if_else(now, told, known))
+    b.update(f"acting_{arm.name}", acting - np.expm1(-1 / (rate * lag)) * (known - acting))
+    return known, acting
 
 
 def _servo_angles(
@@ -199,51 +223,38 @@ def _servo_angles(
     r: Any,
     frame: ArmFrame,
     goal: ArmGoal,
+    told: Any,
     feedback: ArmFeedback,
 ) -> Any:
     """Servo angles of one arm, rad, (4,); its states move on where `now`."""
     kin, period, name = arm.kinematics, 1.0 / SERVO_RATE, arm.name
-    moved = ca.if_else(
+    ruled = goal.force - goal.told
+    pushing, size = ca.sumsqr(goal.force) > LEAST_FORCE**2, ca.sqrt(ca.sumsqr(ruled) + 1e-12)
+    step = ca.if_else(
         goal.operated,
         operated(r, goal.joystick, gains.speed_max, period),
         towards(r, goal.r, gains.speed, period),
     )
-    moved = within_reach(kin, moved)
-
-    pushing = ca.sumsqr(goal.force) > LEAST_FORCE**2
-    shift = b.state(f"shift_{name}", 3, "m", doc=f"integral of the force error of arm '{name}'")
-    wanted_shift, straight = _force_shift(gains.force, arm, goal, feedback, shift)
-    held = within_reach(kin, moved + ca.if_else(pushing, wanted_shift, towards(shift, 0 * shift, gains.speed, period)))
-    r_stiff = within_reach(kin, held + ca.if_else(pushing, straight, 0))
+    moved = within_reach(kin, blended(r, ca.if_else(pushing, gains.gamma, 0), 0, step - r))
     b.update(f"r_{name}", ca.if_else(now, moved, r))
-    b.update(f"shift_{name}", ca.if_else(now, held - moved, shift))
-
-    q_ref = kin.inverse(r_stiff, goal.roll)
-    theta = holding_angles(kin, q_ref, frame.up, goal.load)
-    if arm.joints:
-        chosen = list(arm.joints)
-        measured = (feedback.theta - feedback.q)[chosen]
-        error = position_error(q_ref[chosen], feedback.theta[chosen], measured)
-        integral = b.state(f"integral_{name}", len(chosen), "rad s", doc=f"of the links' error of arm '{name}', (21)")
-        after = next_integral(gains.joint, integral, error, 1, period)
-        b.update(f"integral_{name}", ca.if_else(ca.logic_and(now, ca.logic_not(pushing)), after, integral))
-        still = ca.if_else(pushing, 0, error)
-        theta[chosen] += correction(gains.joint, still, integral)
-    return theta
-
-
-def _force_shift(
-    gains: ForceGains, arm: InstrumentedArm, goal: ArmGoal, feedback: ArmFeedback, shift: Any
-) -> tuple[Any, Any]:
-    """Integral and proportional part of the force's shift of the tool, m, along the force that is wanted.
-
-    Without encoders there is no force to compare: the deflection of the wanted force itself, (26), is approached.
-    """
-    kin, period = arm.kinematics, 1.0 / SERVO_RATE
-    size = ca.sqrt(ca.sumsqr(goal.force) + 1e-12)
-    n = goal.force / size
     if not arm.joints:
-        return towards(shift, ca.mtimes(compliance(kin, feedback.q), goal.force), gains.force_speed, period), 0 * n
+        q_ref = kin.inverse(moved, goal.roll)
+        return holding_angles(kin, q_ref, frame.up, goal.load) + pushing_angles(kin, q_ref, told)
+
+    shift = b.state(f"shift_{name}", 3, "m", doc=f"integral of the force error of arm '{name}'")
+    n = ruled / size
     error = n * (size - force_along(kin, feedback.q, feedback.force, n, arm.joints))
-    after = next_correction(gains, kin, feedback.q, error, shift, period)
-    return after, force_correction(gains, kin, feedback.q, error, 0 * n)
+    more, at_once = force_corrections(gains.force, kin, feedback.q, error, period)
+    after = ca.if_else(pushing, blended(shift, gains.gamma, more, 0), towards(shift, 0 * shift, gains.speed, period))
+    held = within_reach(kin, moved + after)
+    b.update(f"shift_{name}", ca.if_else(now, held - moved, shift))
+    r_stiff = within_reach(kin, blended(held, gains.gamma, ca.if_else(pushing, at_once, 0), 0))
+
+    q_ref, chosen = kin.inverse(r_stiff, goal.roll), list(arm.joints)
+    theta = holding_angles(kin, q_ref, frame.up, goal.load) + pushing_angles(kin, q_ref, told)
+    link = position_error(q_ref[chosen], feedback.theta[chosen], (feedback.theta - feedback.q)[chosen])
+    integral = b.state(f"integral_{name}", len(chosen), "rad s", doc=f"of the links' error of arm '{name}', (21)")
+    summed = next_integral(gains.joint, integral, link, 1, period)
+    b.update(f"integral_{name}", ca.if_else(ca.logic_and(now, ca.logic_not(pushing)), summed, integral))
+    theta[chosen] += correction(gains.joint, ca.if_else(pushing, 0, link), integral)
+    return theta

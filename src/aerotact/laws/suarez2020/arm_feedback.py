@@ -11,6 +11,9 @@ from aerotact.dynamics.multibody import Multibody
 from aerotact.laws.suarez2020.contact_force import force_along, force_of_deflection
 from aerotact.ports import BlockBuilder
 
+PASSES = 3
+"""Fixed-point passes from servo angles and load to the links without encoders."""
+
 
 @dataclass(frozen=True)
 class Heard:
@@ -51,13 +54,15 @@ class ArmFeedback:
         theta: servo angles, rad, (4,).
         q: joint angles, rad, (4,).
         r: tool in frame i, (6), m, (3,).
-        force: of the tool on the environment in frame i, N, (3,).
+        force: of the tool on the environment in frame i, as the encoders alone tell, N, (3,).
+        acting: the same as taken for true: what is told, and what is measured along what is ruled, N, (3,).
     """
 
     theta: Any
     q: Any
     r: Any
     force: Any
+    acting: Any
 
 
 @dataclass(frozen=True)
@@ -78,36 +83,40 @@ class InstrumentedArm:
     joints: tuple[int, ...]
     encoders: tuple[int, ...]
 
-    def feedback(self, heard: Heard, frame: ArmFrame, load: Any, wanted: Any) -> ArmFeedback:
+    def feedback(self, heard: Heard, frame: ArmFrame, load: Any, told: Any, ruled: Any) -> ArmFeedback:
         """What the sensors say.
 
-        The deflection of joints without encoders is that of gravity, of the load and of the force: of the estimate
-        along the force that is wanted, or the wanted force itself where no encoder tells.
+        The deflection of joints without encoders is that of gravity, of the load and of the force: of what is told, and
+        of the estimate along what is ruled.
 
         Args:
             heard: measurements.
             frame: of the arm.
             load: mass carried at the tool, kg.
-            wanted: force reference in frame i, N, (3,); zero if none.
+            told: force in frame i that the arm has without a measurement, N, (3,).
+            ruled: force in frame i that is controlled by its measurement, N, (3,); zero if none.
         """
         kin = self.kinematics
         theta = heard.servo[list(self.servos)]
-        carried = load * ca.mtimes(kin.jacobian(theta).T, frame.up)
-        hanging = theta - (kin.gravity_torque(theta, frame.up) + carried) / ca.DM(kin.stiffness)
-        q = ca.vertcat(*[self._link(j, theta, hanging, heard) for j in range(4)])
-        size = ca.sqrt(ca.sumsqr(wanted) + 1e-12)
-        force, along = wanted, wanted
+        q = ca.vertcat(*[self._link(j, theta, heard) for j in range(4)])
+        force, acting = told, told
         if self.joints:
+            size = ca.sqrt(ca.sumsqr(ruled) + 1e-12)
             force = force_of_deflection(kin, theta, q, frame.up, self.joints)
-            along = wanted / size * force_along(kin, q, force, wanted / size, self.joints)
-        pushed = ca.mtimes(kin.jacobian(q).T, along) / ca.DM(kin.stiffness)
-        q = ca.vertcat(*[q[j] if j in self.joints else q[j] - pushed[j] for j in range(4)])
-        return ArmFeedback(theta, q, kin.forward(q), force)
+            acting = told + ruled / size * force_along(kin, q, force, ruled / size, self.joints)
+        for _ in range(PASSES):
+            torque = kin.gravity_torque(q, frame.up) + ca.mtimes(kin.jacobian(q).T, load * frame.up + acting)
+            loaded = theta - torque / ca.DM(kin.stiffness)
+            q = ca.vertcat(*[q[j] if j in self.joints else loaded[j] for j in range(4)])
+        return ArmFeedback(theta, q, kin.forward(q), force, acting)
 
-    def _link(self, joint: int, theta: Any, hanging: Any, heard: Heard) -> Any:
-        if joint in self.joints:
-            return theta[joint] - heard.deflection[self.encoders[self.joints.index(joint)]]
-        return hanging[joint]
+    def _link(self, joint: int, theta: Any, heard: Heard) -> Any:
+        """Angle of a link: as measured, or that of its shaft."""
+        return (
+            theta[joint] - heard.deflection[self.encoders[self.joints.index(joint)]]
+            if joint in self.joints
+            else theta[joint]
+        )
 
     def frame(self, heard: Heard, gravity: float) -> ArmFrame:
         """Frame i, (1), (2), (5)."""

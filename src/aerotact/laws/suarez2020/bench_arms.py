@@ -33,3 +33,6 @@ def suarez2020_arms(model: Model, rate: float) -> Block:
     add_arm_outputs(b, arms)
     b.limit_with(actuator_limiter(model, rate))
     return with_robot_gains(b.build(), model.robot)
+
+
+LAWS = {"suarez2020_arms": suarez2020_arms}

@@ -32,9 +32,9 @@ def lateral_forces(force: Any, r_1: Any, r_2: Any) -> tuple[Any, Any]:
     return -force * axis, force * axis
 
 
-def blended(gamma: Any, by_force: Any, by_position: Any) -> Any:
-    """Correction of a tool's reference, (31): gamma of the force's and the rest of the position's."""
-    return gamma * by_force + (1 - gamma) * by_position
+def blended(r: Any, gamma: Any, by_force: Any, by_position: Any) -> Any:
+    """Reference of a tool, m, (3,), (31): where it was, gamma of the force's step, the rest of the position's."""
+    return r + gamma * by_force + (1 - gamma) * by_position
 
 
 def disconnected(r_grasp: Any, r_tool: Any, threshold: Any) -> Any:

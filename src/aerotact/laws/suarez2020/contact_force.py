@@ -29,19 +29,22 @@ class ForceGains:
         force_p: proportional gain, 1: share of the force error that is answered by its deflection at once.
         force_i: integral gain, 1/s.
         force_speed: largest speed of the correction, m/s: how fast a tool without contact moves on.
+        force_rate: rate of a force that no encoder measures, N/s.
     """
 
     force_p: Any
     force_i: Any
     force_speed: Any
+    force_rate: Any
 
 
 def add_force_gains(b: BlockBuilder) -> ForceGains:
     """Parameters; the paper gives no values. The zero of the two gains lies on the servo's lag of (17), 50 ms."""
     return ForceGains(
-        force_p=b.parameter("force_p", 1, "1", 0.25, doc="proportional gain of the force error", lower=0.0),
-        force_i=b.parameter("force_i", 1, "1/s", 5.0, doc="integral gain of the force error", lower=0.0),
+        force_p=b.parameter("force_p", 1, "1", 0.5, doc="proportional gain of the force error", lower=0.0),
+        force_i=b.parameter("force_i", 1, "1/s", 10.0, doc="integral gain of the force error", lower=0.0),
         force_speed=b.parameter("force_speed", 1, "m/s", 0.05, doc="fastest correction of the force", lower=0.0),
+        force_rate=b.parameter("force_rate", 1, "N/s", 4.0, doc="of a force that no encoder measures", lower=0.0),
     )
 
 
@@ -90,21 +93,25 @@ def compliance(kinematics: ArmKinematics, q: Any) -> Any:
     return ca.mtimes(J * ca.repmat(ca.DM(1.0 / kinematics.stiffness).T, 3, 1), J.T)
 
 
-def force_correction(gains: ForceGains, kinematics: ArmKinematics, q: Any, error: Any, integral: Any) -> Any:
-    """Shift of the stiff arm's tool, m, (3,), for a force error, N, and its integral, m: Delta r_F of Fig. 17 and (31).
+def force_corrections(
+    gains: ForceGains, kinematics: ArmKinematics, q: Any, error: Any, period: float
+) -> tuple[Any, Any]:
+    """Shifts of the stiff arm's tool, m, (3,), for a force error, N, (3,): Delta r_F of Fig. 17 and (31).
 
     (26) turned about: a force is asked for by the deflection that belongs to it.
+
+    Returns:
+        What to add for good in this period, no faster than `force_speed`, and what to add for this period only.
     """
-    return gains.force_p * ca.mtimes(compliance(kinematics, q), error) + integral
+    lengths = ca.mtimes(compliance(kinematics, q), error)
+    step = gains.force_i * period * lengths
+    size = ca.sqrt(ca.sumsqr(step) + 1e-18)
+    return step * ca.fmin(1, gains.force_speed * period / size), gains.force_p * lengths
 
 
-def next_correction(
-    gains: ForceGains, kinematics: ArmKinematics, q: Any, error: Any, integral: Any, period: float
-) -> Any:
-    """Integral of the force error as a shift of the tool, m, one period later; no faster than `force_speed`."""
-    step = gains.force_i * period * ca.mtimes(compliance(kinematics, q), error)
-    length = ca.sqrt(ca.sumsqr(step) + 1e-18)
-    return integral + step * ca.fmin(1, gains.force_speed * period / length)
+def pushing_angles(kinematics: ArmKinematics, q: Any, force: Any) -> Any:
+    """Deflections, rad, (4,), that belong to a force on the environment, N, (3,): for arms without encoders."""
+    return ca.mtimes(kinematics.jacobian(q).T, force) / ca.DM(kinematics.stiffness)
 
 
 def _damped(square: Any) -> Any:

@@ -77,3 +77,6 @@ def suarez2020_joint_control(model: Model, rate: float) -> Block:
     b.output("joint_est", theta - angle, "rad", doc="links of the joints with encoders, (14)")
     b.limit_with(actuator_limiter(model, rate))
     return with_robot_gains(b.build(), model.robot)
+
+
+LAWS = {"suarez2020_joint_control": suarez2020_joint_control}
