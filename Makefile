@@ -23,7 +23,7 @@ demo: $(BIN)/aerotact
 bench: $(BIN)/aerotact
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	for ocp in H O; do $(BIN)/aerotact bench --ocp $$ocp --horizon 10 --horizon 20 --horizon 40 --horizon 80 \
-	    --blocks tilt_hex --output benchmarks/results || exit 1; done
+	    --blocks tilt_hex --blocks tilt_rotor --output benchmarks/results || exit 1; done
 
 style: $(BIN)/pytest
 	$(BIN)/ruff check .

@@ -9,6 +9,7 @@ import cffi
 import numpy as np
 
 from aerotact.codegen.build import compile_library, find_compiler
+from aerotact.codegen.linked import compile_flags, find_library, link_flags
 from aerotact.codegen.project import CProject
 from aerotact.ports import Array
 
@@ -56,8 +57,12 @@ def run(folder: Path, project: CProject, source: str, flags: tuple[str, ...] = P
     sources = [str(folder / project.name / s) for s in project.sources]
     includes = [f"-I{folder / project.name / part}" for part in ("include", "src")]
     sources += _third_party(folder, project, flags)
+    linked = [find_library(name) for name in project.linked]
+    includes += compile_flags(linked)
     command = [*find_compiler(), "-std=c99", *flags, "-Wall", "-Wextra", *includes, str(folder / "harness.c"), *sources]
-    built = subprocess.run([*command, "-lm", "-o", str(program)], capture_output=True, text=True, check=False)
+    built = subprocess.run(
+        [*command, *link_flags(linked), "-lm", "-o", str(program)], capture_output=True, text=True, check=False
+    )
     assert built.returncode == 0, built.stderr[:4000]
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"returned {done.returncode}\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"

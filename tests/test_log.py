@@ -89,6 +89,7 @@ def test_summary(log: Log, tmp_path: Path) -> None:
         "wall_s": 2.5,
         "statuses": {"OK": 9, "BAD_INPUT": 1},
         "estimator_statuses": {"state_estimator": {"OK": 10}},
+        "inner_statuses": {},
         "metrics": {"peak_force": 1.5, "airborne": None},
     }
 

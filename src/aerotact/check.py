@@ -10,7 +10,7 @@ import numpy as np
 from aerotact.check_joints import joint_disagreement, joint_limit_fault, joint_trim
 from aerotact.dynamics.model_of import model_of
 from aerotact.dynamics.multibody import Multibody
-from aerotact.dynamics.rotors import allocation, wrench_jacobian, wrench_rank
+from aerotact.dynamics.rotors import allocation, lift_and_torque_rank, wrench_jacobian, wrench_rank
 from aerotact.estimation import estimators
 from aerotact.exceptions import AerotactError, RobotError
 from aerotact.laws import laws
@@ -93,7 +93,7 @@ def _items(robot: Robot, seed: int) -> Iterator[Item]:
     )
     rank = wrench_rank(robot)
     if robot.arms:
-        lifts = int(np.linalg.matrix_rank(wrench_jacobian(robot)[2:], tol=1e-6))
+        lifts = lift_and_torque_rank(robot)
         yield _item(
             "rotors lift and turn the base",
             lifts == 4,

@@ -130,6 +130,9 @@ def generate(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the C project.")],
     robot: Annotated[str, typer.Option("--robot", "-r", help="Name or folder of the robot.")],
     rate: Annotated[float | None, typer.Option(help="Hz of a law or an estimator; 500 if not given.")] = None,
+    precision: Annotated[
+        str | None, typer.Option(help="double, or single for floats; of an MPC, its file's own if not given.")
+    ] = None,
 ) -> None:
     """Write a standalone C project: header, sources, example, Makefile, CMakeLists.txt, manifest.
 
@@ -139,15 +142,18 @@ def generate(
     `aerotact generate ryll2019_admittance --robot models/my_robot --rate 250 -o my_law`
     """
     from aerotact.codegen.build import measured
+    from aerotact.codegen.precision import PRECISIONS
     from aerotact.dynamics.model_of import model_of
-    from aerotact.exceptions import CodegenError
+    from aerotact.exceptions import CodegenError, UnknownName
     from aerotact.flight import controller_project
     from aerotact.robot import load_robot
 
     if rate is not None and not 1.0 <= rate <= 1e5:
         raise InputError(f"--rate is {rate:g} Hz; valid: 1 to 100000 Hz")
+    if precision is not None and precision not in PRECISIONS:
+        raise UnknownName("precision", precision, PRECISIONS, "--precision")
     begin = perf_counter()
-    project = controller_project(name, model_of(load_robot(robot)), rate)
+    project = controller_project(name, model_of(load_robot(robot)), rate, precision=precision)
     generated = perf_counter()
     if rate is not None and abs(project.manifest["rate_hz"] - rate) > 1e-9:
         raise InputError(
@@ -210,7 +216,7 @@ def fly(
         if metric.value is not None:
             table.add_row(name, f"{metric.value:.4g}", metric.unit)
     console.print(table)
-    for block, statuses in {"controller": log.statuses, **log.estimator_statuses}.items():
+    for block, statuses in {"controller": log.statuses, **log.inner_statuses, **log.estimator_statuses}.items():
         say(f"steps of {block}: {', '.join(f'{count} {status}' for status, count in statuses.items())}")
     if result.file is not None:
         say(f"log:     {result.file}")
@@ -218,7 +224,7 @@ def fly(
             runs = {(result.controller, chosen.name): read_columns(result.file)}
             for figure in found.plot(runs, folder / result.controller):
                 say(f"plot:    {figure}")
-    _picture(robot or found.robot, folder)
+    _picture(robot or chosen.robot or found.robot, folder)
     if result.fault:
         errors.print(f"[bold red]ended early:[/] {escape(result.fault)}; the log holds what was flown", soft_wrap=True)
         raise typer.Exit(6)
@@ -277,8 +283,9 @@ def compare(
     figures = found.plot(runs, folder) if runs else []
     for figure in figures:
         say(f"plot:    {figure}")
-    picture = _picture(robot or found.robot, folder)
-    page = write_report(comparison, found, [*([picture] if picture else []), *figures], folder / "report.html")
+    flown = [c.robot or found.robot for c in found.cases if not cases or c.name in cases]
+    pictures = [_picture(name, folder) for name in dict.fromkeys([robot] if robot else flown)]
+    page = write_report(comparison, found, [*(p for p in pictures if p), *figures], folder / "report.html")
     say(f"page:    {page}")
     say(f"numbers: {folder / 'compare.json'}")
     say(f"logs:    {folder}, one folder a controller")
@@ -295,10 +302,13 @@ def bench(
     passes: Annotated[int, typer.Option(min=1, help="Timed passes over them.")] = 5,
     horizon: Annotated[list[int] | None, typer.Option(min=1, help="Intervals for the growth; may be repeated.")] = None,
     solvers: Annotated[
-        list[str] | None, typer.Option("--solver", "-s", help="aerotact, acados, osqp, casadi, ipopt; may be repeated.")
+        list[str] | None,
+        typer.Option("--solver", "-s", help="aerotact, single, acados, hpipm, osqp, casadi, ipopt; may be repeated."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the steps of the reference.")] = 11,
-    blocks: Annotated[str, typer.Option(help="Robot whose laws and estimators are timed; 'none' for none.")] = "none",
+    blocks: Annotated[
+        list[str] | None, typer.Option(help="Robot whose laws and estimators are timed; may be repeated.")
+    ] = None,
     json_file: JsonOption = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for page, numbers and plot.")] = Path(
         "results/bench"
@@ -318,8 +328,7 @@ def bench(
     for name in solvers or []:
         if name not in KINDS:
             raise UnknownName("solver", name, KINDS)
-    robot = None if blocks == "none" else blocks
-    options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, robot)
+    options = Options(ocp, samples, passes, horizon or (), solvers or None, seed, blocks or ())
     make_folder(output)
     with progress_bar() as progress:
         task = progress.add_task("", total=None)

@@ -13,8 +13,18 @@ from rich.table import Table
 from aerotact.codegen.build import compile_library
 from aerotact.dynamics.model_of import model_of
 from aerotact.experiments import find_experiment
-from aerotact.experiments.experiment import Experiment
-from aerotact.flight import Options, Result, controller_project, estimator_names, find_controller, fly, shown_name
+from aerotact.experiments.experiment import Case, Experiment
+from aerotact.flight import (
+    Options,
+    Result,
+    chain_projects,
+    controller_project,
+    estimator_names,
+    find_controller,
+    fly,
+    robot_of,
+    shown_name,
+)
 from aerotact.metrics import UNITS
 from aerotact.robot import load_robot
 
@@ -85,7 +95,7 @@ def run_comparison(
     tell = progress or (lambda done, total, what: None)
     total = len(labels) * len(chosen) * len(seeds)
     tell(0, total, "generating and compiling the controllers")
-    _compile_all(experiment, labels, options)
+    _compile_all(experiment, labels, chosen, options)
     runs = [(label, case.name, seed) for seed in seeds for label in labels for case in chosen]
     tell(0, total, "flying")
     work = (delayed(_fly_one)(experiment.name, label, case, seed, options) for label, case, seed in runs)
@@ -102,15 +112,16 @@ def run_comparison(
     )
 
 
-def _compile_all(experiment: Experiment, labels: Sequence[str], options: Options) -> None:
+def _compile_all(experiment: Experiment, labels: Sequence[str], cases: Sequence[Case], options: Options) -> None:
     """Fill the cache once, so that the processes only load."""
-    robot = load_robot(options.robot or experiment.robot)
-    model = model_of(robot)
-    for label in labels:
-        spec = find_controller(experiment, label)
-        compile_library(controller_project(spec.block, model, spec.rate, options.predicted_delay))
-    for name in estimator_names(robot):
-        compile_library(controller_project(name, model, robot.file.sensors.imu.rate))
+    for name in dict.fromkeys(robot_of(experiment, case, options) for case in cases):
+        robot = load_robot(name)
+        model = model_of(robot)
+        for label in labels:
+            for project in chain_projects(find_controller(experiment, label), model, options):
+                compile_library(project)
+        for estimator in estimator_names(robot):
+            compile_library(controller_project(estimator, model, robot.file.sensors.imu.rate))
 
 
 def _fly_one(experiment: str, label: str, case: str, seed: int, options: Options) -> Result:

@@ -40,7 +40,7 @@ class Statistics:
 
 _ALIGNMENT = 64  # bytes
 _CDEF = """
-typedef struct {{ int status, failures, qp_iterations; double qp_stationarity, qp_feasibility, qp_complementarity; }}
+typedef struct {{ int status, failures, qp_iterations; {real} qp_stationarity, qp_feasibility, qp_complementarity; }}
     {n}_statistics;
 size_t {n}_workspace_size(void);
 void {n}_init(void *workspace);
@@ -63,7 +63,8 @@ class Controller:
     """A law, an estimator or an MPC as it runs on the robot's computer.
 
     Inputs are written into `measurement`, `reference` and `parameters`: dicts of writable arrays, one a port, which are
-    views of the C structs. `step` reads them and fills `output`, the same way.
+    views of the C structs, of floats if the project is in single precision. `step` reads them and fills `output`, the
+    same way.
     """
 
     def __init__(self, project: CProject) -> None:
@@ -78,7 +79,8 @@ class Controller:
         self.rate = float(self.manifest["rate_hz"])
         self.library = compile_library(project)
         self._ffi = cffi.FFI()
-        self._ffi.cdef(_CDEF.format(n=self.name))
+        single = self.manifest.get("precision") == "single"
+        self._ffi.cdef(_CDEF.format(n=self.name, real="float" if single else "double"))
         try:
             self._lib: Any = self._ffi.dlopen(str(self.library))
         except OSError as error:
@@ -89,7 +91,7 @@ class Controller:
             layout = Layout(
                 Port(p["name"], p["size"], p["unit"], p["frame"], kind=p["kind"], nodes=p["nodes"]) for p in ports
             )
-            buffer = layout.default if layout.size else np.zeros(1)
+            buffer = (layout.default if layout.size else np.zeros(1)).astype(np.float32 if single else float)
             self._buffers[group] = buffer
             self._views[group] = layout.unpack(buffer[: layout.size])
         size = int(self._call("workspace_size")())

@@ -60,6 +60,16 @@ class CompilerNotFound(CodegenError):
         )
 
 
+class LibraryNotFound(CodegenError):
+    """A library that a back end links is not on this machine."""
+
+    def __init__(self, name: str, tried: Iterable[str], variable: str) -> None:
+        super().__init__(
+            f"the library {name} was not found (looked in {', '.join(tried)}); install it and set {variable} to its "
+            "folder with include/ and lib/, or ACADOS_SOURCE_DIR to an acados that is built; or choose another back end"
+        )
+
+
 class InputError(AerotactError):
     """A value handed to the Python interface has the wrong name, shape or range."""
 

@@ -27,10 +27,11 @@ class Log:
         head: controller, robot, hashes, seed and what else tells the run; goes into both files.
         fault: why the run ended early, or empty.
         wall: s of wall clock that the run took.
-        solve_times: s of each controller step.
-        statuses: name -> count of what the controller returned.
+        solve_times: s of each controller step; of nested controllers the outermost's.
+        statuses: name -> count of what the controller returned; of nested ones the outermost.
         estimator_statuses: estimator -> name -> count of what it returned.
-        every: rows from one step of the controller to the next.
+        every: rows from one step of the controller to the next; of nested ones the slowest's.
+        inner_statuses: inner controller -> name -> count of what it returned.
     """
 
     period: float
@@ -43,6 +44,7 @@ class Log:
     statuses: dict[str, int] = field(default_factory=dict)
     estimator_statuses: dict[str, dict[str, int]] = field(default_factory=dict)
     every: int = 1
+    inner_statuses: dict[str, dict[str, int]] = field(default_factory=dict)
 
     def __getitem__(self, signal: str) -> Array:
         if signal not in self.columns:
@@ -90,6 +92,7 @@ class Log:
             "wall_s": self.wall,
             "statuses": self.statuses,
             "estimator_statuses": self.estimator_statuses,
+            "inner_statuses": self.inner_statuses,
             "metrics": dict(metrics),
         }
         text = json.dumps(summary, indent=2, sort_keys=True) + "\n"

@@ -1,10 +1,15 @@
-"""Loop: plant, sensors, estimators and a controller, each at its own rate by the plant's clock, wired by port names."""
+"""Loop: plant, sensors, estimators and controllers, each at its own rate by the plant's clock, wired by port names.
+
+Controllers may be nested: the outputs of an outer one are the inner one's references, by name, and the innermost
+commands the plant.
+"""
 
 import time as clock
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from itertools import pairwise
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -35,6 +40,8 @@ _TRUTH = {
     "joint_rate": ("rad/s", ""),
     "servo": ("rad", ""),
     "p_tools_W": ("m", "W"),
+    "f_tools_W": ("N", "W"),
+    "objects_W": ("1", "W"),
     "p_WE": ("m", "W"),
     "q_WE": ("1", "W"),
     "v_WE": ("m/s", "W"),
@@ -59,13 +66,33 @@ class Reference(Protocol):
         """Signal -> array (len(times), size) for every reference port that it serves."""
 
 
+@runtime_checkable
+class Operator(Reference, Protocol):
+    """A reference that decides as it goes: what it says of now and later may change with what it hears.
+
+    Attributes:
+        ports: signals that it serves for the log alone.
+    """
+
+    ports: Sequence[Port]
+
+    def decide(self, time: float, heard: Mapping[str, Array]) -> None:
+        """Hear, before each step of the outermost controller, what controllers could and where the world's objects are.
+
+        Args:
+            time: s.
+            heard: measurements and estimates by name, and `objects_W` of `Plant.truth` if there are any.
+        """
+
+
 @dataclass(frozen=True)
 class Wiring:
     """How a loop is closed.
 
     Attributes:
-        truth: the controller gets the true state of the base instead of the estimate.
-        delay: s from measurement to command: a number, or "measured" for the controller's own computing time.
+        truth: the controllers get the true state of the base instead of the estimate.
+        delay: s from measurement to command, or to the inner controller's reference: a number, or "measured" for the
+            controller's own computing time.
         reference: what is wanted.
     """
 
@@ -78,15 +105,29 @@ class Loop:
     """One closed loop, ready to run once."""
 
     def __init__(
-        self, plant: Plant, sensors: Sensors, estimators: Sequence[Controller], controller: Controller, wiring: Wiring
+        self,
+        plant: Plant,
+        sensors: Sensors,
+        estimators: Sequence[Controller],
+        controller: Controller | Sequence[Controller],
+        wiring: Wiring,
     ) -> None:
         """Wire it.
 
+        Args:
+            plant: what is flown.
+            sensors: of the plant.
+            estimators: in the order of the calls.
+            controller: one, or nested ones from the outermost to the innermost.
+            wiring: of them all.
+
         Raises:
-            LoopError: a rate that is no fraction of the physics' rate, a measurement that nothing serves, or a
-                controller that gives no command.
+            LoopError: a rate that is no fraction of the physics' rate, a measurement that nothing serves, an outer
+                controller that gives the inner one nothing, or no command.
         """
-        self.plant, self.sensors, self.controller, self.wiring = plant, sensors, controller, wiring
+        self.plant, self.sensors, self.wiring = plant, sensors, wiring
+        self.controllers = [controller] if isinstance(controller, Controller) else list(controller)
+        self.controller = self.controllers[0]
         self.estimators = list(estimators)
         self._imu_every = self._every(sensors.imu_rate, "the IMU")
         self._mocap_every = self._every(sensors.mocap_rate, "motion capture")
@@ -97,7 +138,8 @@ class Loop:
                 f"valid: {sensors.imu_rate:g} Hz, the IMU's, divided by a whole number"
             )
         self._joints_every = {name: self._every(rate, name) for name, rate in sensors.joints.rates.items()}
-        self._control_every = self._every(controller.rate, controller.name)
+        self._control_every = [self._every(c.rate, c.name) for c in self.controllers]
+        self._handed = [_handed(outer, inner) for outer, inner in pairwise(self.controllers)]
         for estimator in self.estimators:
             if self._every(estimator.rate, estimator.name) != self._imu_every:
                 raise LoopError(
@@ -121,21 +163,21 @@ class Loop:
             if self._frame_every % self._imu_every:
                 imu = f"{sensors.imu_rate:g} Hz, the IMU's, divided by a whole number"
                 raise LoopError(f"the depth camera runs at {self._sight.rate:g} Hz; valid: {imu}")
-        for block in (*self.estimators, controller):
+        for block in (*self.estimators, *self.controllers):
             missing = [name for name in block.measurement if name not in self._bus]
             if missing:
                 raise LoopError(
                     f"nothing serves {', '.join(missing)} of {block.name}; there is: {', '.join(self._bus)}"
                 )
             self._bus.update({name: value.copy() for name, value in block.output.items()})
-        needed = ("thrust_cmd", "tilt_cmd") if plant.robot.tilts else ("thrust_cmd",)
-        if any(name not in controller.output for name in needed):
+        needed, innermost = ("thrust_cmd", "tilt_cmd") if plant.robot.tilts else ("thrust_cmd",), self.controllers[-1]
+        if any(name not in innermost.output for name in needed):
             raise LoopError(
-                f"{controller.name} gives {', '.join(controller.output)} and cannot fly; "
+                f"{innermost.name} gives {', '.join(innermost.output)} and cannot fly; "
                 f"valid: what gives {' and '.join(needed)}"
             )
         # Arms hold the angles of hover under a controller that says nothing of them.
-        self._commands = [n for n in COMMANDS if n in needed or (n == "servo_cmd" and n in controller.output)]
+        self._commands = [n for n in COMMANDS if n in needed or (n == "servo_cmd" and n in innermost.output)]
 
     def _every(self, rate: float, who: str) -> int:
         steps = 1.0 / (rate * self.plant.timestep)
@@ -159,17 +201,18 @@ class Loop:
         """
         dt = self.plant.timestep
         steps = round(duration / dt)
-        tables = [
-            _ReferenceTable(block, self.wiring.reference, every, steps, dt)
-            for block, every in [
-                *((e, self._imu_every) for e in self.estimators),
-                (self.controller, self._control_every),
-            ]
+        reference = self.wiring.reference
+        table = _LiveReference if isinstance(reference, Operator) else _ReferenceTable
+        tables = [table(e, reference, self._imu_every, steps, dt) for e in self.estimators]
+        given: list[dict[str, Array]] = [{}, *self._handed]
+        wanted = [
+            table(c, reference, every, steps, dt, without=handed)
+            for c, every, handed in zip(self.controllers, self._control_every, given, strict=True)
         ]
-        recorder = _Recorder(self.plant, self.controller, self.wiring.reference, steps, self._sight, self._bus)
+        recorder = _Recorder(self.plant, self.controllers, given, reference, steps, self._sight, self._bus)
         self._solve_times: list[float] = []
-        self._statuses = {block.name: Counter[str]() for block in (*self.estimators, self.controller)}
-        pending: deque[tuple[int, dict[str, Array]]] = deque()
+        self._statuses = {block.name: Counter[str]() for block in (*self.estimators, *self.controllers)}
+        pending = [deque[tuple[int, Callable[[], None]]]() for _ in self.controllers]
         started = clock.perf_counter()
         fault, done, start = "", 0, self.plant.base_pose()[:3]
         try:
@@ -179,12 +222,14 @@ class Loop:
                         self._bus.update(self.sensors.joints.sample(name))
                 if k % self._imu_every == 0:
                     self._sense(k, tables)
-                if k % self._control_every == 0:
-                    late = self._control(k, tables[-1])
-                    sent = {COMMANDS[name]: self.controller.output[name].copy() for name in self._commands}
-                    pending.append((k + round(late / dt), sent))
-                while pending and pending[0][0] <= k:
-                    self.plant.command(**pending.popleft()[1])
+                if isinstance(reference, Operator) and k % self._control_every[0] == 0:
+                    reference.decide(k * dt, self._bus | self.plant.objects_seen())
+                for level, every in enumerate(self._control_every):
+                    if k % every == 0:
+                        late = self._control(k, level, wanted[level])
+                        pending[level].append((k + round(late / dt), self._sent(level)))
+                    while pending[level] and pending[level][0][0] <= k:
+                        pending[level].popleft()[1]()
                 recorder.record(k)
                 self.plant.step()
                 done = k + 1
@@ -196,6 +241,7 @@ class Loop:
             fault = str(error) or "interrupted"
         wall = clock.perf_counter() - started
         counts = {name: dict(statuses) for name, statuses in self._statuses.items()}
+        outer, *inner = (counts.pop(c.name) for c in self.controllers)
         columns, ports = recorder.first(done)
         return Log(
             self.plant.timestep,
@@ -205,9 +251,10 @@ class Loop:
             fault,
             wall,
             np.array(self._solve_times),
-            counts.pop(self.controller.name),
+            outer,
             counts,
-            self._control_every,
+            max(self._control_every),
+            {c.name: found for c, found in zip(self.controllers[1:], inner, strict=True)},
         )
 
     def _watch(self, start: Array, time: float) -> None:
@@ -216,7 +263,7 @@ class Loop:
         if distance > LOST:
             raise LoopError(f"the robot is lost at {time:.2f} s: {distance:.0f} m from where it began")
 
-    def _sense(self, k: int, tables: Sequence["_ReferenceTable"]) -> None:
+    def _sense(self, k: int, tables: Sequence["_ReferenceTable | _LiveReference"]) -> None:
         bus = self._bus
         bus.update(self.sensors.imu())
         bus.update(self.sensors.rotor_speed())
@@ -241,18 +288,57 @@ class Loop:
         if self._sight and self.wiring.truth:
             bus.update(self._sight.truth())
 
-    def _control(self, k: int, table: "_ReferenceTable") -> float:
-        controller = self.controller
+    def _control(self, k: int, level: int, table: "_ReferenceTable | _LiveReference") -> float:
+        controller = self.controllers[level]
         table.write(k)
         for name, view in controller.measurement.items():
             view[:] = self._bus[name]
         before = clock.perf_counter()
         status: Status = controller.step()
         taken = clock.perf_counter() - before
-        self._solve_times.append(taken)
+        if level == 0:
+            self._solve_times.append(taken)
         self._statuses[controller.name][status.name] += 1
         delay, dt = self.wiring.delay, self.plant.timestep
         return float(np.ceil(taken / dt) * dt) if delay == "measured" else delay
+
+    def _sent(self, level: int) -> Callable[[], None]:
+        """What hands the outputs of now to the inner controller, or of the innermost to the plant."""
+        output = self.controllers[level].output
+        if level == len(self.controllers) - 1:
+            commands = {COMMANDS[name]: output[name].copy() for name in self._commands}
+            return lambda: self.plant.command(**commands)
+        return _writer({name: (view, output[name].copy()) for name, view in self._handed[level].items()})
+
+
+def _handed(outer: Controller, inner: Controller) -> dict[str, Array]:
+    """The inner controller's references that the outer one gives, as writable views.
+
+    Raises:
+        LoopError: there are none, or one of another size.
+    """
+    handed = {name: view for name, view in inner.reference.items() if name in outer.output}
+    if not handed:
+        raise LoopError(
+            f"{outer.name} gives {', '.join(outer.output)}, nothing that its inner controller {inner.name} follows; "
+            f"valid: one or more of {', '.join(inner.reference) or 'nothing: it has no references'}"
+        )
+    for name, view in handed.items():
+        if view.shape != outer.output[name].shape:
+            raise LoopError(
+                f"{outer.name} gives {name} of shape {outer.output[name].shape}; valid: {view.shape}, of {inner.name}"
+            )
+    return handed
+
+
+def _writer(values: Mapping[str, tuple[Array, Array]]) -> Callable[[], None]:
+    """What copies each second array into the first."""
+
+    def write() -> None:
+        for view, value in values.values():
+            view[:] = value
+
+    return write
 
 
 class _Sight:
@@ -274,9 +360,17 @@ class _Sight:
 
 
 class _ReferenceTable:
-    """The references of one block at all its steps, sampled once."""
+    """The references of one block at all its steps, sampled once; `without` are those that something else gives."""
 
-    def __init__(self, block: Controller, reference: Reference, every: int, steps: int, dt: float) -> None:
+    def __init__(
+        self,
+        block: Controller,
+        reference: Reference,
+        every: int,
+        steps: int,
+        dt: float,
+        without: Collection[str] = (),
+    ) -> None:
         self._every = every
         nodes = np.array(block.manifest.get("times_s", [0.0]))
         times: Array = np.arange(0, steps, every) * dt
@@ -284,6 +378,8 @@ class _ReferenceTable:
         preview = reference.sample((times[:, None] + nodes).ravel()) if len(nodes) > 1 else single
         self._rows: list[tuple[Array, Array]] = []
         for name, view in block.reference.items():
+            if name in without:
+                continue
             source = preview if view.ndim > 1 else single
             if name not in source:
                 raise LoopError(f"nothing serves the reference {name} of {block.name}; there is: {', '.join(source)}")
@@ -296,58 +392,108 @@ class _ReferenceTable:
             view[:] = table[row]
 
 
+class _LiveReference:
+    """The references of one block, asked of an operator at each of its steps."""
+
+    def __init__(
+        self,
+        block: Controller,
+        reference: Reference,
+        every: int,
+        steps: int,
+        dt: float,
+        without: Collection[str] = (),
+    ) -> None:
+        self._reference, self._dt = reference, dt
+        self._nodes = np.array(block.manifest.get("times_s", [0.0]))
+        self._views = {name: view for name, view in block.reference.items() if name not in without}
+        served = reference.sample(np.zeros(1))
+        for name in self._views:
+            if name not in served:
+                raise LoopError(f"nothing serves the reference {name} of {block.name}; there is: {', '.join(served)}")
+
+    def write(self, k: int) -> None:
+        """Put the values of physics step k into the block."""
+        if self._views:
+            said = self._reference.sample(k * self._dt + self._nodes)
+            for name, view in self._views.items():
+                view[:] = said[name] if view.ndim > 1 else said[name][0]
+
+
 def _declared(port: Mapping[str, Any], suffix: str = "") -> Port:
     """A port of a manifest; of a preview the part that is now."""
     return Port(f"{port['name']}{suffix}", port["size"], port["unit"], port["frame"], kind=port["kind"])
 
 
 class _Recorder:
-    """Preallocated rows, one a physics step: truth, what was wanted then, what the controller got and gave."""
+    """Preallocated rows, one a physics step: truth, what was wanted then, what the controllers got and gave.
+
+    Of what several controllers give or get under one name, the innermost's is kept.
+    """
 
     def __init__(
         self,
         plant: Plant,
-        controller: Controller,
+        controllers: Sequence[Controller],
+        given: Sequence[Collection[str]],
         reference: Reference,
         steps: int,
         sight: _Sight | None,
         bus: Mapping[str, Array],
     ) -> None:
-        self._plant, self._controller, self._sight, self._bus = plant, controller, sight, bus
+        self._plant, self._controllers, self._sight, self._bus = plant, controllers, sight, bus
         truth = plant.truth()
         self._truth_names = list(truth)
-        ports = controller.manifest["ports"]
-        wanted = [_declared(p) for p in ports["reference"]]
+        groups = [c.manifest["ports"] for c in controllers]
+        wanted = {
+            p["name"]: _declared(p)
+            for ports, handed in zip(groups, given, strict=True)
+            for p in ports["reference"]
+            if p["name"] not in handed
+        }
+        said = {p["name"]: _declared(p) for ports in groups for p in ports["output"]}
+        heard = {p["name"]: _declared(p, "_est") for ports in groups for p in ports["measurement"]}
         columns = [
             Port("time", 1, "s"),
             *(Port(n, v.size, *_TRUTH[n], kind="quaternion" if n[0] == "q" else "vector") for n, v in truth.items()),
-            *wanted,
-            *(_declared(p) for p in ports["output"]),
-            *(_declared(p, "_est") for p in ports["measurement"]),
+            *wanted.values(),
+            *said.values(),
+            *heard.values(),
         ]
         # What is estimated is logged even if the controller does not ask for it.
-        self._unasked = [n for n in SURFACE if n in bus and n not in controller.measurement]
+        self._unasked = [n for n in SURFACE if n in bus and n not in heard]
         if sight:
             columns += SURFACE.values()
             columns += [replace(SURFACE[n], name=f"{n}_est") for n in self._unasked]
+        self._live = reference if isinstance(reference, Operator) else None
+        self._wanted = list(wanted)
+        if self._live:
+            columns += self._live.ports
+            self._wanted += [port.name for port in self._live.ports]
         self._ports = {port.name: port for port in columns}
         self._arrays = {name: np.full((steps, port.size), np.nan) for name, port in self._ports.items()}
         times: Array = np.arange(steps) * plant.timestep
         self._arrays["time"][:, 0] = times
         # Wanted is what the reference says at the row's time, and not what a slow controller last heard of it.
-        samples = reference.sample(times)
-        for port in wanted:
-            self._arrays[port.name][:] = samples[port.name]
+        if not self._live:
+            samples = reference.sample(times)
+            for name in self._wanted:
+                self._arrays[name][:] = samples[name]
 
     def record(self, k: int) -> None:
         """Row k."""
         arrays, truth = self._arrays, self._plant.truth()
         for name in self._truth_names:
             arrays[name][k] = truth[name]
-        for name, value in self._controller.output.items():
-            arrays[name][k] = value
-        for name, value in self._controller.measurement.items():
-            arrays[f"{name}_est"][k] = value
+        if self._live:
+            said = self._live.sample(arrays["time"][k])
+            for name in self._wanted:
+                arrays[name][k] = said[name][0]
+        for controller in self._controllers:
+            for name, value in controller.output.items():
+                arrays[name][k] = value
+            for name, value in controller.measurement.items():
+                arrays[f"{name}_est"][k] = value
         if self._sight:
             for name, value in self._sight.truth().items():
                 arrays[name][k] = value

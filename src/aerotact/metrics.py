@@ -96,8 +96,9 @@ def standard_metrics(log: Log, robot: Robot, window: slice | None = None) -> dic
     tool = rmse(log["p_WE"][fresh] - log[aim][fresh]) if aim and len(fresh) else None
     force, band = _force_errors(log, wanting) if touched else (None, None)
     solve = log.solve_times
-    total = sum(log.statuses.values())
-    usable = sum(log.statuses.get(s, 0) for s in ("OK", "MAX_ITERATIONS", "DEADLINE"))
+    statuses = (log.statuses, *log.inner_statuses.values())
+    total = sum(count for found in statuses for count in found.values())
+    usable = sum(found.get(s, 0) for found in statuses for s in ("OK", "MAX_ITERATIONS", "DEADLINE"))
     values: Mapping[str, float | None] = {
         "force_rmse": force,
         "force_rmse_band": band,

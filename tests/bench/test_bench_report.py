@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from aerotact.bench.qp import Solution
 from aerotact.bench.report import page, plot
 from aerotact.bench.run import Race, make_peers, race
 from aerotact.bench.scenario import Sample
-from aerotact.bench.summary import exponent, percentiles, summarise
+from aerotact.bench.summary import equal_work, exponent, growth_of, percentiles, summarise
 from aerotact.cli import app
-from aerotact.dynamics.model import Model
+from aerotact.dynamics.model_of import model_of
+from aerotact.robot import load_robot
 
 
 class Fake:
@@ -66,7 +68,7 @@ def made_up(problem: Problem, samples: list[Sample]) -> Race:
 
 
 def test_the_numbers_have_the_names_that_are_promised(made_up: Race) -> None:
-    growth = {"steps": [10, 20], "solvers": {"aerotact": {"p50_us": [1.0, 2.0], "exponent": 1.0}}}
+    growth = {"steps": [10, 20], "solvers": {"aerotact": {"p50_us": [1.0, 2.0], "samples": [9, 9], "exponent": 1.0}}}
     summary = json.loads(json.dumps(summarise(made_up, describe_machine(), growth)))
     assert {"machine", "ocp", "solvers"} <= summary.keys()
     assert {"cpu", "cores", "compiler", "versions"} <= summary["machine"].keys()
@@ -88,7 +90,7 @@ def test_the_numbers_have_the_names_that_are_promised(made_up: Race) -> None:
 
 
 def test_the_page_says_where_how_and_what(made_up: Race, tmp_path: Path) -> None:
-    growth = {"steps": [10, 20], "solvers": {"aerotact": {"p50_us": [1.0, 2.0], "exponent": 1.0}}}
+    growth = {"steps": [10, 20], "solvers": {"aerotact": {"p50_us": [1.0, 2.0], "samples": [9, 9], "exponent": 1.0}}}
     summary = summarise(made_up, describe_machine(), growth)
     figures = plot(made_up, summary, tmp_path)
     assert all(f.stat().st_size > 1000 for f in figures)
@@ -114,6 +116,23 @@ def test_the_smallest_undisturbed_time_counts(made_up: Race) -> None:
     assert record.disturbed == 1.0
 
 
+def test_growth_at_equal_work_compares_samples_that_are_alike(made_up: Race) -> None:
+    found = [replace(made_up.records["aerotact"]) for _ in range(2)]
+    for scale, record in zip((1.0, 2.0), found, strict=True):
+        count = record.total.shape[1]
+        record.total = np.tile(scale * np.arange(count, dtype=float), (2, 1))
+        record.work = np.tile(np.where(np.arange(count) < 4, scale, 3.0), (2, 1))
+        record.interrupted[:] = False
+    work, times = equal_work(found)
+    assert work == 3  # one occurs at the first horizon only, two at the second
+    assert times[0].tolist() == list(range(4, count))
+    growth = growth_of([10, 20], times)
+    assert growth["samples"] == [count - 4] * 2
+    assert growth["exponent"] == pytest.approx(1.0)
+    found[1].work[:] = np.nan
+    assert equal_work(found) == (None, [])
+
+
 def test_exponents_and_percentiles() -> None:
     assert exponent([10, 20, 40], [3.0, 6.0, 12.0]) == pytest.approx(1.0)
     assert exponent([10], [1.0]) is None
@@ -128,9 +147,18 @@ def test_without_acados_the_others_race(problem: Problem, monkeypatch: pytest.Mo
     assert not any(isinstance(p, AcadosPeer) for p in peers)
 
 
-def test_laws_and_estimators_take_microseconds(hexarotor: Model) -> None:
-    blocks = time_blocks(hexarotor)
-    assert blocks
+def test_without_hpipm_the_others_race(problem: Problem, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HPIPM_DIR", str(tmp_path))
+    peers, skipped = make_peers(problem, ["hpipm", "aerotact"])
+    assert [p.name for p in peers] == ["aerotact"]
+    assert len(skipped) == 1
+    assert skipped[0].startswith("hpipm: skipped, the library hpipm was not found")
+
+
+@pytest.mark.parametrize("robot", ["tilt_hex", "tilt_rotor", "dual_arm_standard"])
+def test_laws_and_estimators_take_microseconds(robot: str) -> None:
+    blocks = time_blocks(model_of(load_robot(robot)))
+    assert {"state_estimator", "momentum_observer"} <= blocks.keys()
     for block in blocks.values():
         assert block["usable"]
         assert 0 < block["p50_us"] < 1000

@@ -81,6 +81,19 @@ def test_the_generated_solver_finds_the_same(problem: Problem, samples: list[Sam
     assert peer.sizes["workspace"] > 0
 
 
+def test_hpipm_finds_the_same(problem: Problem, samples: list[Sample]) -> None:
+    try:
+        peer = AerotactPeer(problem, "hpipm", tolerance=1e-8)
+    except Absent as absent:
+        pytest.skip(str(absent))
+    assert peer.name == "hpipm 1e-8"
+    for sample in samples:
+        answer = peer.solve(sample)
+        assert answer.usable
+        assert answer.work > 0
+        assert _error(problem, sample, answer.u0) < 2e-3
+
+
 @pytest.mark.skipif(importlib.util.find_spec("osqp") is None, reason="osqp is not installed")
 def test_osqp_finds_the_same(problem: Problem, samples: list[Sample]) -> None:
     peer = OsqpPeer(problem, 1e-7)

@@ -1,32 +1,27 @@
 """The back end osqp: the same bytes every time, the same command as the default back end, builds on its own, flies."""
 
-import os
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
-import jinja2
 import numpy as np
 import pytest
-from native import SANITIZED, run
+from foreign import build, hostile_counts, random_qp, stepped
 
 from aerotact.codegen.backends import find_backend
 from aerotact.codegen.build import find_compiler
 from aerotact.codegen.mpc_project import mpc_project
 from aerotact.codegen.project import CProject
 from aerotact.codegen.qp_structure import QpPattern
-from aerotact.controller import Controller, Status
+from aerotact.controller import Status
 from aerotact.dynamics.model import Model
 from aerotact.exceptions import CodegenError, UnknownName
 from aerotact.experiments import find_experiment
 from aerotact.flight import fly
 from aerotact.mpc.ocp import Ocp, load_ocp
-from aerotact.ports import Array
 from aerotact.qp.solver import QpSolver, QpStatus
 
-CFLAGS = "-O1 -fno-stack-protector -U_FORTIFY_SOURCE"
 MATH = {"sqrt", "sincos", "fmin", "fmax", "sin", "cos", "tan", "atan2", "exp", "log", "pow", "fmod"}
 MEMORY = {"memcpy", "memset", "memmove", "memcmp", "_GLOBAL_OFFSET_TABLE_"}
 
@@ -47,13 +42,6 @@ def osqp_ocp(osqp_problem: Path, hexarotor: Model) -> Ocp:
 @pytest.fixture(scope="module")
 def osqp_c(osqp_ocp: Ocp) -> CProject:
     return mpc_project(osqp_ocp)
-
-
-def _run(folder: Path, *command: str) -> str:
-    environment = {**os.environ, "CFLAGS": CFLAGS}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{' '.join(command)}: {done.returncode}\n{done.stdout}\n{done.stderr[:4000]}"
-    return done.stdout
 
 
 # generation
@@ -89,7 +77,9 @@ def test_digest_follows_third_party_sources(osqp_c: CProject) -> None:
 def test_unknown_back_end_is_told_of_both(tmp_path: Path, osqp_problem: Path, hexarotor: Model) -> None:
     path = tmp_path / "other.toml"
     path.write_text(osqp_problem.read_text().replace('backend = "osqp"', 'backend = "oracle"'))
-    with pytest.raises(UnknownName, match=r"solver back end 'oracle' in .*other\.toml.*; valid: aerotact, osqp$"):
+    with pytest.raises(
+        UnknownName, match=r"solver back end 'oracle' in .*other\.toml.*; valid: aerotact, hpipm, osqp$"
+    ):
         mpc_project(load_ocp(path, hexarotor))
 
 
@@ -98,9 +88,9 @@ def test_unknown_back_end_is_told_of_both(tmp_path: Path, osqp_problem: Path, he
 
 def test_makes_as_c_and_as_cpp(tmp_path: Path, osqp_c: CProject) -> None:
     osqp_c.write(tmp_path)
-    printed = _run(tmp_path, "make", "-s", "check")
+    printed = build(tmp_path, "make", "-s", "check")
     assert len(re.findall(rf"^{osqp_c.name}: \d+ steps, 0 not OK", printed, flags=re.MULTILINE)) == 2, printed
-    symbols = [line.split() for line in _run(tmp_path, "nm", f"build/lib{osqp_c.name}.a").splitlines() if " " in line]
+    symbols = [line.split() for line in build(tmp_path, "nm", f"build/lib{osqp_c.name}.a").splitlines() if " " in line]
     defined = {s[-1] for s in symbols if s[-2] != "U"}
     assert {s[-1] for s in symbols if s[-2] == "U"} - defined <= MATH | MEMORY
     variables = {s[-1] for s in symbols if s[-2] in "bBdDC" and not s[-1].startswith(f"{osqp_c.name}_osqp_")}
@@ -110,9 +100,9 @@ def test_makes_as_c_and_as_cpp(tmp_path: Path, osqp_c: CProject) -> None:
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
 def test_passes_ctest(tmp_path: Path, osqp_c: CProject) -> None:
     osqp_c.write(tmp_path)
-    _run(tmp_path, "cmake", "-B", "build", "-S", ".", "-DCMAKE_BUILD_TYPE=Debug")
-    _run(tmp_path, "cmake", "--build", "build")
-    assert "100% tests passed" in _run(tmp_path, "ctest", "--test-dir", "build")
+    build(tmp_path, "cmake", "-B", "build", "-S", ".", "-DCMAKE_BUILD_TYPE=Debug")
+    build(tmp_path, "cmake", "--build", "build")
+    assert "100% tests passed" in build(tmp_path, "ctest", "--test-dir", "build")
 
 
 def test_two_archives_link_together(tmp_path: Path) -> None:
@@ -122,8 +112,8 @@ def test_two_archives_link_together(tmp_path: Path) -> None:
         project = CProject(name, {**files, "manifest.json": "{}\n"}, (f"src/{name}_qp.c",))
         folder = tmp_path / name
         project.write(folder)
-        _run(folder, *find_compiler(), "-std=c99", "-Iinclude", "-c", *project.sources, *project.third_party)
-        _run(folder, "ar", "rcs", f"lib{name}.a", *[p.name for p in folder.glob("*.o")])
+        build(folder, *find_compiler(), "-std=c99", "-Iinclude", "-c", *project.sources, *project.third_party)
+        build(folder, "ar", "rcs", f"lib{name}.a", *[p.name for p in folder.glob("*.o")])
     lines = [
         "#include <string.h>",
         *[f'#include "{n}/include/{n}_qp.h"' for n in names],
@@ -135,50 +125,21 @@ def test_two_archives_link_together(tmp_path: Path) -> None:
     ]
     (tmp_path / "both.c").write_text("\n".join(lines))
     archives = [f"{n}/lib{n}.a" for n in names]
-    _run(tmp_path, *find_compiler(), "-std=c99", "both.c", *archives, "-lm", "-o", "both")
-    _run(tmp_path, "./both")
+    build(tmp_path, *find_compiler(), "-std=c99", "both.c", *archives, "-lm", "-o", "both")
+    build(tmp_path, "./both")
 
 
 # solving
 
 
-def _stepped(ocp: Ocp, offset: list[float]) -> tuple[Array, Status, int]:
-    """Command after two steps from `offset` m beside hover, worst status and iterations."""
-    controller = Controller(mpc_project(ocp))
-    for name, value in ocp.model.state.unpack(ocp.model.hover_state).items():
-        if name in controller.measurement:
-            controller.measurement[name][:] = value
-    controller.measurement["p_WB"][:] += offset
-    status, iterations = Status.OK, 0
-    for _ in range(2):
-        status = max(status, controller.step())
-        iterations = max(iterations, controller.statistics.qp_iterations)
-    return controller.output["thrust_cmd"].copy(), status, iterations
-
-
 def test_first_command_is_that_of_the_default_back_end(osqp_ocp: Ocp, hexarotor_ocp: Ocp) -> None:
     cases = [([0.002, -0.001, 0.001], False, 1e-4), ([0.05, -0.05, 0.02], True, 1e-2)]  # offset, bounds active, N
     for offset, active, tolerance in cases:
-        expected, status, iterations = _stepped(hexarotor_ocp, offset)
-        found, other_status, _ = _stepped(osqp_ocp, offset)
+        expected, status, iterations = stepped(hexarotor_ocp, offset)
+        found, other_status, _ = stepped(osqp_ocp, offset)
         assert status is other_status is Status.OK
         assert (iterations > 0) == active
         np.testing.assert_allclose(found, expected, atol=tolerance)
-
-
-def _random_qp(rng: np.random.Generator, pattern: QpPattern) -> dict[str, Array]:
-    """Stable dynamics, a convex cost, bounds of which some are active at the solution."""
-    N, nx, nu, nb = pattern.steps, pattern.nx, pattern.nu, len(pattern.bounded)
-    J = rng.normal(size=(N + 1, nx + nu, nx + nu))
-    H = np.swapaxes(J, 1, 2) @ J + 0.1 * np.eye(nx + nu)
-    A = np.eye(nx) + 0.2 * rng.normal(size=(N, nx, nx))
-    return {
-        **{"A": A, "B": rng.normal(size=(N, nx, nu)), "b": 0.1 * rng.normal(size=(N, nx)), "x0": rng.normal(size=nx)},
-        **{"Q": H[:, :nx, :nx], "S": H[:N, nx:, :nx], "R": H[:N, nx:, nx:]},
-        **{"q": rng.normal(size=(N + 1, nx)), "r": rng.normal(size=(N, nu))},
-        **{"lbu": np.full((N, nu), -0.1), "ubu": np.full((N, nu), 0.2)},
-        **{"lbx": np.full((N + 1, nb), -np.inf), "ubx": np.full((N + 1, nb), 3.0)},
-    }
 
 
 @pytest.mark.parametrize("general_start", [True, False], ids=["x0", "zero"])
@@ -188,7 +149,7 @@ def test_random_programmes_have_the_same_solution(general_start: bool) -> None:
     rng = np.random.default_rng(7)
     active = solved = 0
     for _ in range(40):
-        data = _random_qp(rng, pattern)
+        data = random_qp(rng, pattern)
         data["x0"] *= general_start
         expected, found = ours.solve(data), osqp.solve(data)
         assert found.status is expected.status
@@ -207,7 +168,7 @@ def test_random_programmes_have_the_same_solution(general_start: bool) -> None:
 def test_statuses() -> None:
     pattern = QpPattern(nx=4, nu=2, steps=5, bounded=(1, 3))
     solver = QpSolver(pattern, "osqp")
-    data = _random_qp(np.random.default_rng(3), pattern)
+    data = random_qp(np.random.default_rng(3), pattern)
     assert solver.solve(data).status is QpStatus.OK
     assert solver.solve({**data, "lbu": data["ubu"] + 1.0}).status is QpStatus.INFEASIBLE
     assert solver.solve(data).status is QpStatus.OK
@@ -227,21 +188,13 @@ def test_statuses() -> None:
 
 
 def test_general_rows_are_refused() -> None:
-    with pytest.raises(CodegenError, match="osqp knows hard bounds only; valid: the back end aerotact"):
+    with pytest.raises(CodegenError, match="osqp knows hard bounds only; valid: the back ends aerotact and hpipm"):
         QpSolver(QpPattern(nx=1, nu=1, steps=1, general=1), "osqp")
 
 
 def test_hostile_programmes_leave_no_trace_under_sanitisers(tmp_path: Path) -> None:
-    pattern, name, solves = QpPattern(nx=3, nu=2, steps=3, bounded=(1, 2)), "tiny", 4000
-    files = find_backend("osqp", "here").sources(name, pattern)
-    template = jinja2.Environment(undefined=jinja2.StrictUndefined).from_string(
-        (Path(__file__).parent / "hostile_qp.c.jinja").read_text()
-    )
-    harness = template.render(
-        name=name, NAME=name.upper(), nx=pattern.nx, nu=pattern.nu, steps=pattern.steps, bounded=2, solves=solves
-    )
-    project = CProject(name, {**files, "manifest.json": "{}\n"}, (f"src/{name}_qp.c",))
-    counts = dict(zip(QpStatus, map(int, run(tmp_path, project, harness, SANITIZED).split()), strict=True))
+    solves = 4000
+    counts = hostile_counts(tmp_path, "osqp", solves)
     assert sum(counts.values()) == solves
     assert min(counts[s] for s in (QpStatus.OK, QpStatus.INFEASIBLE, QpStatus.NUMERICAL)) > solves // 50, counts
 

@@ -164,15 +164,16 @@ def test_quaternion_from_matrix_at_any_angle() -> None:
 def test_missing_capability_names_robot_and_lack(hexarotor: Model) -> None:
     upright = tuple(replace(r, axis_B=np.array([0.0, 0.0, 1.0])) for r in hexarotor.robot.rotors)
     flat = Model(replace(hexarotor.robot, rotors=upright, has_tool=False))
-    assert flat.capabilities == {"fixed_rotors", "rigid_body"}
+    assert flat.capabilities == {"fixed_rotors", "rigid_body", "thrust_and_torque"}
     with pytest.raises(
-        MissingCapability, match=r"law x needs six_axis_wrench.*tilt_hex.*it has: fixed_rotors, rigid_body"
+        MissingCapability,
+        match=r"law x needs six_axis_wrench.*tilt_hex.*it has: fixed_rotors, rigid_body, thrust_and_torque",
     ):
         flat.require(["six_axis_wrench"], "law x")
 
 
 def test_capabilities(model: Model, tilting: Model) -> None:
-    expected = {"rigid_body", "six_axis_wrench", "tool", "tilt" if model.tilts else "fixed_rotors"}
+    expected = {"rigid_body", "six_axis_wrench", "thrust_and_torque", "tool", "tilt" if model.tilts else "fixed_rotors"}
     expected |= {"force_torque"} if model.robot.force_torque else set()
     assert model.capabilities == expected
     # At hover the groups of this robot push upwards only: what makes the wrench six-dimensional is that they tilt.

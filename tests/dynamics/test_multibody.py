@@ -301,7 +301,7 @@ def test_derivative_on_the_manifold_and_of_an_expression(arms: Multibody) -> Non
 
 
 def test_capabilities_of_a_robot_with_arms(arms: Multibody) -> None:
-    expected = {"arm", "tool", "fixed_rotors"} | ({"passive_joint"} if arms.passive else set())
+    expected = {"arm", "tool", "fixed_rotors", "thrust_and_torque"} | ({"passive_joint"} if arms.passive else set())
     assert arms.capabilities == expected
     assert arms.capabilities <= set(CAPABILITIES)
     assert wrench_rank(arms.robot) == 4

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from aerotact.bench.blocks import time_blocks
 from aerotact.bench.machine import describe_machine
 from aerotact.bench.peers.acados_peer import AcadosPeer, Setting
 from aerotact.bench.problems import Problem, make_problem
-from aerotact.bench.run import Progress, Race, make_peers, qualify, race
+from aerotact.bench.run import Progress, Race, Record, make_peers, qualify, race
 from aerotact.bench.scenario import record
-from aerotact.bench.summary import exponent, summarise
+from aerotact.bench.summary import equal_work, growth_of, summarise
 from aerotact.dynamics.model_of import model_of
 from aerotact.robot import load_robot
 
@@ -30,7 +28,7 @@ class Options:
         horizons: further numbers of intervals for the growth; none if empty.
         only: kinds of peers; all if None.
         seed: of the steps of the reference.
-        blocks: robot whose laws and estimators are timed; none if None.
+        blocks: robots whose laws and estimators are timed.
     """
 
     ocp: str
@@ -39,7 +37,7 @@ class Options:
     horizons: Sequence[int] = ()
     only: Sequence[str] | None = None
     seed: int = SEED
-    blocks: str | None = None
+    blocks: Sequence[str] = ()
 
 
 def run_bench(options: Options, progress: Progress = lambda done, total, what: None) -> tuple[Race, dict[str, Any]]:
@@ -49,9 +47,10 @@ def run_bench(options: Options, progress: Progress = lambda done, total, what: N
     result = _race(problem, options.samples, options, options.only, progress)
     growth = _growth(options, result, progress)
     blocks: dict[str, Any] = {}
-    if options.blocks is not None:
-        progress(0, 1, "laws and estimators")
-        blocks = time_blocks(model_of(load_robot(options.blocks)))
+    for done, name in enumerate(options.blocks):
+        progress(done, len(options.blocks), f"laws and estimators of {name}")
+        robot = load_robot(name)
+        blocks[robot.name] = time_blocks(model_of(robot))
     return result, summarise(result, machine, growth, blocks)
 
 
@@ -71,27 +70,27 @@ def _race(
 
 
 def _growth(options: Options, first: Race, progress: Progress) -> dict[str, Any]:
-    """Medians over the horizon for the generated solver and acados: of the whole, and of preparation, whose work does
-    not depend on which bounds are active."""
+    """Medians over the horizon for the generated solver and acados: of the whole, of preparation, whose work does not
+    depend on which bounds are active, and of the samples that took the number of factorisations that is commonest."""
     steps = sorted(set(options.horizons))
     if not steps:
         return {}
     only = [k for k in ("aerotact", "acados") if options.only is None or k in options.only]
-    medians: dict[str, list[float]] = {}
+    found: dict[str, list[Record]] = {}
     for n in steps:
         count = min(options.samples, GROWTH_SAMPLES)
         result = _race(make_problem(options.ocp, n), count, options, only, progress, _scaled(first, n))
-        best = result.best_acados
-        for name, found in (("aerotact", result.records.get("aerotact")), ("acados", best)):
-            if found is not None:
-                medians.setdefault(name, []).append(float(np.median(found.quiet)))
-                prepare = float(np.median(found.quiet_of(found.prepare)))
-                medians.setdefault(f"{name}, preparation", []).append(prepare)
-    return {
-        "steps": steps,
-        "samples": min(options.samples, GROWTH_SAMPLES),
-        "solvers": {name: {"p50_us": v, "exponent": exponent(steps, v)} for name, v in medians.items()},
-    }
+        for name, entry in (("aerotact", result.records.get("aerotact")), ("acados", result.best_acados)):
+            if entry is not None:
+                found.setdefault(name, []).append(entry)
+    rows: dict[str, Any] = {}
+    for name, records in found.items():
+        rows[name] = growth_of(steps, [r.quiet for r in records])
+        rows[f"{name}, preparation"] = growth_of(steps, [r.quiet_of(r.prepare) for r in records])
+        work, times = equal_work(records)
+        if work is not None:
+            rows[f"{name}, {work} factorisation{'s' if work > 1 else ''}"] = growth_of(steps, times)
+    return {"steps": steps, "samples": min(options.samples, GROWTH_SAMPLES), "solvers": rows}
 
 
 def _scaled(first: Race, steps: int) -> list[Setting] | None:

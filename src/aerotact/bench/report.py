@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+from aerotact.bench.blocks import BATCHES, STEPS
 from aerotact.bench.run import Race
 from aerotact.plots import COLOURS, label, panels, save
 
 PERCENTILES = ("p50", "p99", "max")
-SHOWN = ("aerotact", "acados", "hpipm", "aerotact-osqp", "osqp 1e-3", "casadi qrqp")
+SHOWN = ("aerotact", "aerotact single", "acados", "hpipm 1e-6", "osqp 1e-3", "casadi qrqp")
 Rows = Sequence[Sequence[str]]
 
 
@@ -78,7 +79,11 @@ def _phase_rows(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
 def _growth_rows(growth: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     steps = [str(n) for n in growth["steps"]]
     rows = [
-        [name, *(_microseconds(v) for v in s["p50_us"]), number(s["exponent"], ".2f")]
+        [
+            name,
+            *(f"{_microseconds(v)} ({n})" for v, n in zip(s["p50_us"], s["samples"], strict=True)),
+            number(s["exponent"], ".2f"),
+        ]
         for name, s in growth["solvers"].items()
     ]
     return ["solver", *(f"N = {n}" for n in steps), "exponent"], rows
@@ -143,8 +148,10 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
     if summary["growth"]:
         parts += [
             "## Growth with the horizon",
-            "Median, us; the exponent is that of time over N, by least squares in logarithms. Preparation does the "
-            "same work whatever bounds are active; the whole depends on them, and a longer horizon has others.",
+            "Median, us (samples); the exponent is that of time over N, by least squares in logarithms. A longer "
+            "horizon has other active bounds, and more or less to do for them. Preparation does the same work whatever "
+            "they are; so do, but for what the bounds themselves cost, the samples that took the same number of "
+            "factorisations, the least number that a tenth of the samples took at every horizon.",
             table(*_growth_rows(summary["growth"])),
         ]
     parts += [
@@ -164,14 +171,20 @@ def page(summary: Mapping[str, Any], figures: Sequence[Path] = ()) -> str:
     if summary["blocks"]:
         rows = [
             [
+                robot,
                 name,
                 number(b["p50_us"], ".2f"),
                 number(b["max_us"], ".2f"),
                 number(b["bytes"]["workspace"] / 1024, ".1f"),
             ]
-            for name, b in summary["blocks"].items()
+            for robot, blocks in summary["blocks"].items()
+            for name, b in blocks.items()
         ]
-        parts += ["## Laws and estimators", table(["block", "step, us", "slowest batch, us", "workspace, KiB"], rows)]
+        parts += [
+            "## Laws and estimators",
+            f"Mean time of a step in batches of {STEPS}: median and slowest of {BATCHES} batches.",
+            table(["robot", "block", "step, us", "slowest batch, us", "workspace, KiB"], rows),
+        ]
     parts += ["## Settings", table(["solver", "settings"], [[n, s["settings"]] for n, s in summary["solvers"].items()])]
     parts += [f"Not here: {line}" for line in summary["skipped"]]
     parts += [f"![{figure.stem}]({figure.name})" for figure in figures]
@@ -199,10 +212,13 @@ def plot(race: Race, summary: Mapping[str, Any], folder: Path) -> list[Path]:
         _plain_ticks(axis.xaxis)
     if summary["growth"]:
         growth, steps = axes[0, 2], summary["growth"]["steps"]
-        for number_, (name, s) in enumerate(summary["growth"]["solvers"].items()):
-            style = "o--" if name.endswith("preparation") else "o-"
+        solvers = summary["growth"]["solvers"]
+        whose = {name: name.partition(",")[0] for name in solvers}
+        colours = dict(zip(dict.fromkeys(whose.values()), COLOURS, strict=False))
+        for name, s in solvers.items():
+            style = "o-" if name in colours else "o--" if name.endswith("preparation") else "o:"
             slope = number(s["exponent"], ".2f")
-            growth.loglog(steps, s["p50_us"], style, ms=4, color=COLOURS[number_ // 2], label=f"{name}: N^{slope}")
+            growth.loglog(steps, s["p50_us"], style, ms=4, color=colours[whose[name]], label=f"{name}: N^{slope}")
         label(growth, "growth", "median in us", "intervals N")
         growth.legend(loc="upper left")
         low, high = growth.get_ylim()

@@ -24,7 +24,7 @@ from aerotact.bench.reference import solve_exactly
 from aerotact.bench.scenario import Sample
 from aerotact.ports import Array
 
-KINDS = ("aerotact", "acados", "osqp", "casadi", "ipopt")
+KINDS = ("aerotact", "single", "acados", "hpipm", "osqp", "casadi", "ipopt")
 WARM_UP = 10
 QUALIFYING = 100
 Progress = Callable[[int, int, str], None]
@@ -41,6 +41,7 @@ class Record:
         prepare, feedback, total: microseconds, shape (passes, n).
         interrupted: whether the processor was taken away meanwhile, the same shape.
         parts: further times by name, the same shape.
+        work: factorisations, the same shape; NaN where not known.
         usable: share of answers that the solver calls usable.
         error: of the first control by the control's range, against the exact solution of the Qp that it was given,
             shape (n,); empty where it was not judged.
@@ -55,6 +56,7 @@ class Record:
     total: Array
     interrupted: Array
     parts: dict[str, Array] = field(default_factory=dict)
+    work: Array = field(default_factory=lambda: np.zeros((0, 0)))
     usable: float = float("nan")
     error: Array = field(default_factory=lambda: np.zeros(0))
     residuals: Array = field(default_factory=lambda: np.zeros((0, 3)))
@@ -124,6 +126,9 @@ def make_peers(
     except Absent as absent:
         skipped.append(str(absent))
     makers += [
+        ("single", lambda: AerotactPeer(problem, precision="single")),
+        ("hpipm", lambda: AerotactPeer(problem, "hpipm", tolerance=1e-6)),
+        ("hpipm", lambda: AerotactPeer(problem, "hpipm", tolerance=1e-8)),
         ("osqp", lambda: OsqpPeer(problem, 1e-3)),
         ("osqp", lambda: OsqpPeer(problem, 1e-5)),
         ("casadi", lambda: CasadiPeer(problem, "qrqp")),
@@ -235,6 +240,7 @@ def _record(peer: Peer, index: Array, rows: list[list[tuple[Answer, bool]]]) -> 
         total=gather(lambda a: a.total),
         interrupted=np.array([[flag for _, flag in row] for row in rows]),
         parts={key: gather(lambda a, key=key: a.parts[key]) for key in rows[0][0][0].parts},  # type: ignore[misc]
+        work=gather(lambda a: a.work),
         usable=float(gather(lambda a: float(a.usable)).mean()),
     )
 

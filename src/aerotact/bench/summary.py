@@ -8,6 +8,9 @@ import numpy as np
 from aerotact.bench.run import Race, Record
 from aerotact.ports import Array
 
+ALIKE = 0.1
+"""Share of the samples that must have taken the same number of factorisations."""
+
 
 def percentiles(values: Array) -> dict[str, float | None]:
     """p50, p99, max; None where nothing was measured."""
@@ -97,6 +100,26 @@ def _ratios(solvers: Mapping[str, Any]) -> dict[str, float]:
     pairs = {key: (ours[f"{key}_us"], theirs[f"{key}_us"]) for key in ("p50", "p99", "max")}
     pairs["feedback_p50"] = (ours["feedback"]["p50_us"], theirs["feedback"]["p50_us"])
     return {key: b / a for key, (a, b) in pairs.items() if a and b}
+
+
+def equal_work(records: Sequence[Record]) -> tuple[int | None, list[Array]]:
+    """The least number of factorisations that one solver took for a tenth of the samples at every horizon, and the
+    microseconds of these samples by horizon; None if there is no such number.
+
+    Which bounds are active changes with the horizon, and with them what there is to do. These samples are alike.
+    """
+    counts = [np.median(r.work, axis=0) for r in records]
+    common = set.intersection(*(set(c[np.isfinite(c)].tolist()) for c in counts))
+    often = [w for w in sorted(common) if all(np.mean(c == w) >= ALIKE for c in counts)]
+    if not often:
+        return None, []
+    return int(often[0]), [r.quiet[c == often[0]] for r, c in zip(records, counts, strict=True)]
+
+
+def growth_of(steps: Sequence[int], times: Sequence[Array]) -> dict[str, Any]:
+    """Median of times (n,) at each horizon, how many they are, and the exponent of the medians over the horizon."""
+    medians = [float(np.median(t)) for t in times]
+    return {"p50_us": medians, "samples": [int(t.size) for t in times], "exponent": exponent(steps, medians)}
 
 
 def exponent(steps: Sequence[int], times: Sequence[float]) -> float | None:

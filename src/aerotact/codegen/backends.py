@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from aerotact.codegen.hpipm_sources import hpipm_sources
+from aerotact.codegen.precision import files_in_single_precision
 from aerotact.codegen.qp_structure import Places, QpPattern, template_context, workspace_places
 from aerotact.codegen.templating import templates
 from aerotact.exceptions import UnknownName
@@ -19,21 +21,24 @@ class Backend:
         sources: its C files.
         places: where a stage's matrices and vectors are kept; arrays are members of the real-time iteration's struct.
         caveat: what its users must know, one sentence for header, README and manifest; empty if there is nothing.
+        linked: libraries that are not carried along, by the names of codegen/linked.py.
     """
 
     sources: Sources
     places: Callable[[QpPattern], Places]
     caveat: str = ""
+    linked: tuple[str, ...] = ()
 
 
 def aerotact_qp(prefix: str, pattern: QpPattern) -> dict[str, str]:
     """Warm-started active set, splitting and interior point on one structured Riccati recursion."""
     environment = templates()
     context = template_context(prefix, pattern)
-    return {
+    files = {
         f"include/{prefix}_qp.h": environment.get_template("qp/qp.h.jinja").render(context),
         f"src/{prefix}_qp.c": environment.get_template("qp/qp.c.jinja").render(context),
     }
+    return files_in_single_precision(files) if pattern.single else files
 
 
 def aerotact_places(pattern: QpPattern) -> Places:
@@ -41,8 +46,8 @@ def aerotact_places(pattern: QpPattern) -> Places:
     return {key: [(f"qp_workspace.{a}", i) for a, i in places] for key, places in workspace_places(pattern).items()}
 
 
-def osqp_places(pattern: QpPattern) -> Places:
-    """The data's."""
+def data_places(pattern: QpPattern) -> Places:
+    """The data's: of back ends that have no arrays for a stage."""
     nx, nu = pattern.nx, pattern.nu
     sizes = {"A": nx * nx, "B": nx * nu, "b": nx, "Q": nx * nx, "S": nu * nx, "R": nu * nu, "q": nx, "r": nu}
     return {(name, i): [(f"qp_data.{name}", i)] for name, size in sizes.items() for i in range(size)}
@@ -59,8 +64,14 @@ BACKENDS: dict[str, Backend] = {
     "aerotact": Backend(aerotact_qp, aerotact_places),
     "osqp": Backend(
         osqp_qp,
-        osqp_places,
+        data_places,
         "OSQP's work arrays are variables of this library: steps must not overlap, whatever their workspace.",
+    ),
+    "hpipm": Backend(
+        hpipm_sources,
+        data_places,
+        "HPIPM and BLASFEO are linked: the target must have them.",
+        ("hpipm", "blasfeo"),
     ),
 }
 

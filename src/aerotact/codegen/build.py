@@ -14,6 +14,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from aerotact.codegen.footprint import CALL_GRAPH, Footprint, code_and_data, worst_chain
+from aerotact.codegen.linked import Library, compile_flags, find_library, link_flags
 from aerotact.codegen.project import MANIFEST, CProject
 from aerotact.exceptions import CodegenError, CompilerNotFound
 
@@ -66,10 +67,13 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS, cache: Pa
 
     Raises:
         CompilerNotFound: no C compiler.
+        LibraryNotFound: the project links a library that is not here.
         CodegenError: the compiler failed (the message has its first lines), or the cache cannot be written.
     """
     compiler = find_compiler()
-    key = hashlib.sha256("\0".join([project.digest, *compiler, *flags, _processor()]).encode()).hexdigest()[:24]
+    linked = [find_library(name) for name in project.linked]
+    parts = [project.digest, *compiler, *flags, *link_flags(linked), _processor()]
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
     library = (cache or cache_folder()) / f"{project.name}-{key}.so"
     if library.is_file() and _report(library).is_file():
         return library
@@ -78,7 +82,7 @@ def compile_library(project: CProject, flags: tuple[str, ...] = FLAGS, cache: Pa
         root = Path(scratch)
         project.write(root / "project")
         built = root / library.name
-        found = _build(project, root, compiler, flags, built)
+        found = _build(project, root, compiler, flags, linked, built)
         # A rename within the cache is atomic, so that two processes may build the same library.
         for target, content in ((_report(library), found.encode()), (library, built.read_bytes())):
             partial = target.with_name(f"{target.name}.{os.getpid()}.part")
@@ -104,20 +108,23 @@ def measured(project: CProject, cache: Path | None = None) -> CProject:
     return replace(project, files={**project.files, MANIFEST: text})
 
 
-def _build(project: CProject, root: Path, compiler: list[str], flags: tuple[str, ...], built: Path) -> str:
+def _build(
+    project: CProject, root: Path, compiler: list[str], flags: tuple[str, ...], linked: list[Library], built: Path
+) -> str:
     """Compile every file, all processors at work, and link; gives the footprint as JSON."""
     version = compiler_version(compiler)
     graph = [CALL_GRAPH] if _has_call_graph(compiler, root) else []
     quiet = [*(f for f in flags if not f.startswith("-W") and f != "-pedantic"), "-w"]
+    includes = ["-Iinclude", "-Isrc", *compile_flags(linked)]
     jobs = [
-        *([*compiler, *flags, *graph, "-fPIC", "-Iinclude", "-Isrc", "-c", p] for p in project.sources),
+        *([*compiler, *flags, *graph, "-fPIC", *includes, "-c", p] for p in project.sources),
         *([*compiler, *quiet, *graph, "-fPIC", "-c", p] for p in project.third_party),
     ]
     jobs.sort(key=lambda job: len(project.files[job[-1]]), reverse=True)  # the longest first
     objects = [f"{number}.o" for number in range(len(jobs))]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(lambda job, o: _compile(project, root, [*job, "-o", o]), jobs, objects))
-    _compile(project, root, [*compiler, *flags, "-shared", *objects, "-lm", "-o", str(built)])
+    _compile(project, root, [*compiler, *flags, "-shared", *objects, *link_flags(linked), "-lm", "-o", str(built)])
     made = [root / "project" / o for o in objects]
     code, data = code_and_data(*made) or (None, None)
     graphs = [o.with_suffix(".ci").read_text() for o in made] if graph else []

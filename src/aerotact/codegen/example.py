@@ -45,8 +45,8 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
     v_WE, w_E = model.tool_twist(x)
     zero = ca.DM.zeros(3)
     return {
-        **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B")},
-        **{f"{port.name}_measured": s[port.name] for port in model.actuators},
+        **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B", "joint", "joint_rate") if name in s},
+        **{f"{port.name}_measured": s[port.name] for port in model.actuators if port.name in s},
         **model.sensed(x),
         "accelerometer_B": specific_force,
         "specific_force_B": specific_force,
@@ -113,7 +113,8 @@ def make_example(
         goal = at_hover[judged]
     else:
         goal = np.zeros(3) if _JUDGED.get(estimate) == "N" else at_hover.get(estimate, at_hover[judged])
-    start = x0 + np.concatenate([OFFSET if limited else np.zeros(3), np.zeros(x0.size - 3)])
+    beside = limited and "p_WB" in measurement  # what does not know its place cannot come back to it
+    start = x0 + np.concatenate([OFFSET if beside else np.zeros(3), np.zeros(x0.size - 3)])
     header = "\n".join(
         [
             f"/* The model of {model.robot.name}, for the example. */",
@@ -136,6 +137,7 @@ def make_example(
     )
     context = {
         "nx": x0.size,
+        "beside": beside,
         # The commands are the first fields of the output.
         "command": "(const double *)&output" if len(model.commands) > 1 else "output.thrust_cmd",
         "x0": [number(v) for v in start],

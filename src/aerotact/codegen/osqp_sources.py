@@ -14,6 +14,7 @@ import numpy as np
 import osqp
 import scipy.sparse
 
+from aerotact.codegen.adapter import adapter_context, refuse_single
 from aerotact.codegen.functions import number
 from aerotact.codegen.qp_structure import ONE, QpPattern
 from aerotact.codegen.templating import templates
@@ -145,17 +146,16 @@ def osqp_sources(prefix: str, pattern: QpPattern) -> dict[str, str]:
     """Adapter and OSQP's embedded C: path inside the project -> text.
 
     Raises:
-        CodegenError: there are general rows or soft bounds; or OSQP refuses to set up or to write its code.
+        CodegenError: single precision, general rows or soft bounds; or OSQP refuses to set up or to write its code.
     """
     if pattern.general or any(pattern.soft_bounds):
-        raise CodegenError(f"{prefix}: the back end osqp knows hard bounds only; valid: the back end aerotact")
+        raise CodegenError(
+            f"{prefix}: the back end osqp knows hard bounds only; valid: the back ends aerotact and hpipm"
+        )
+    refuse_single(prefix, pattern, "osqp")
     programme = Programme(pattern)
     context = {
-        "prefix": prefix,
-        "nx": pattern.nx,
-        "nu": pattern.nu,
-        "N": pattern.steps,
-        "bounded": list(pattern.bounded),
+        **adapter_context(prefix, pattern, "OSQP"),
         "cols": programme.columns,
         "rows": programme.rows,
         "cost": programme.cost,

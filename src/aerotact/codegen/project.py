@@ -4,7 +4,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import mujoco
 from aerotact import __version__
 from aerotact.codegen.example import SECONDS, Example, make_example
 from aerotact.codegen.functions import emit, number, signature
+from aerotact.codegen.precision import files_in_single_precision
 from aerotact.codegen.templating import templates
 from aerotact.dynamics.model import Model
 from aerotact.exceptions import CodegenError
@@ -39,11 +40,13 @@ class CProject:
         name: prefix of everything in it.
         files: path inside the project -> text.
         sources: our C files of the library, inside the project.
+        linked: libraries that the machine must have, by the names of codegen/linked.py.
     """
 
     name: str
     files: Mapping[str, str]
     sources: tuple[str, ...]
+    linked: tuple[str, ...] = ()
 
     @property
     def manifest(self) -> dict[str, Any]:
@@ -151,6 +154,7 @@ def block_context(block: Block, robot: Robot) -> dict[str, Any]:
         "seconds": f"{SECONDS:g}",
         "mpc": None,
         "caveat": "",
+        "precision": "double",
     }
 
 
@@ -202,7 +206,7 @@ def assemble(
     extra = [p for p in extra_sources if p.endswith(".c")]
     sources = (f"src/{name}.c", f"src/{name}_functions.c", *[p for p in extra if not p.startswith(THIRD_PARTY)])
     foreign = [p for p in extra if p.startswith(THIRD_PARTY)]
-    full = {**context, "plant": example.context, "sources": sources, "third_party": foreign}
+    full = {"linked": [], **context, "plant": example.context, "sources": sources, "third_party": foreign}
 
     def render(template: str) -> str:
         return environment.get_template(template).render(full)
@@ -220,7 +224,12 @@ def assemble(
         "README.md": render("README.md.jinja"),
         MANIFEST: manifest_text,
     }
-    return CProject(name, files, sources)
+    return CProject(name, files, sources, tuple(library["name"] for library in full["linked"]))
+
+
+def in_single_precision(project: CProject) -> CProject:
+    """The project with floats instead of doubles, in its interface too."""
+    return replace(project, files=files_in_single_precision(project.files))
 
 
 def limit_function(limiter: Any) -> Any:
@@ -229,13 +238,15 @@ def limit_function(limiter: Any) -> Any:
     return ca.Function("limit", [z, wanted], limiter(z, wanted, ca.SX(0, 1), ca.SX(0, 1)))
 
 
-def block_project(block: Block, model: Model) -> CProject:
-    """The C project of a law or an estimator."""
-    context = block_context(block, model.robot)
+def block_project(block: Block, model: Model, precision: str = "double") -> CProject:
+    """The C project of a law or an estimator; `precision` is "double", or "single" for floats."""
+    context = {**block_context(block, model.robot), "precision": precision}
     functions = [(block.step, f"{block.name}_law", ["z", "y", "r", "p"], ["z_next", "u"])]
     if block.limiter is not None:
         functions.append((limit_function(block.limiter), f"{block.name}_limit", ["z", "wanted"], ["z_next", "u"]))
     example = make_example(
         block.name, model, block.rate, block.measurement, block.reference, block.output, block.limiter is not None
     )
-    return assemble(context, functions, example, "block.c.jinja", manifest(block, model.robot, {}), {})
+    text = manifest(block, model.robot, {"precision": precision})
+    project = assemble(context, functions, example, "block.c.jinja", text, {})
+    return in_single_precision(project) if precision == "single" else project

@@ -31,6 +31,7 @@ class QpPattern:
         A, B, Q, R, S: patterns; all FREE if None.
         direct: the caller keeps A, B, b, Q, S, R, q and r in the solver's own arrays, at its back end's places, and
             not in the data.
+        single: floats instead of doubles.
     """
 
     nx: int
@@ -46,6 +47,7 @@ class QpPattern:
     R: Pattern | None = field(default=None, repr=False)
     S: Pattern | None = field(default=None, repr=False)
     direct: bool = False
+    single: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,9 @@ def template_context(prefix: str, pattern: QpPattern) -> dict[str, Any]:
         "rows": rows,
         "entries": [(number, *entry) for number, row in enumerate(rows) for entry in row],
         "direct": pattern.direct,
+        "single": pattern.single,
+        "tolerance": "0.00001" if pattern.single else "1e-8",
+        "kappa": "200.0" if pattern.single else "1e5",
         "hess": hessian,
         "hess_q": [entry for entry in hessian if entry[2] == "Q"],
         "blocks_w": [{"i": i, "m": min(_BLOCK, nx - i)} for i in range(0, nx, _BLOCK)],

@@ -9,6 +9,7 @@ import numpy as np
 from aerotact.codegen.backends import find_backend
 from aerotact.codegen.functions import number
 from aerotact.codegen.lanes import constant_entries, emit_stages
+from aerotact.codegen.precision import files_in_single_precision
 from aerotact.codegen.qp_structure import FREE, ONE, ZERO, QpPattern
 from aerotact.codegen.templating import templates
 from aerotact.mpc.transcription import Transcription
@@ -33,13 +34,14 @@ class RtiSources:
     context: dict[str, Any]
 
 
-def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSources:
+def rti_sources(transcription: Transcription, backend: str, where: str, precision: str = "double") -> RtiSources:
     """C of the real-time iteration.
 
     Args:
         transcription: of the problem.
         backend: name of who solves the quadratic programme.
         where: file and key that named it, for the error.
+        precision: of PRECISIONS.
 
     Raises:
         UnknownName: there is no such back end.
@@ -48,7 +50,8 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     s = transcription.statement
     name, n, m = s.name, s.ndx, s.nu
     solver = find_backend(backend, where)
-    pattern = replace(stage_pattern(transcription), direct=True)
+    single = precision == "single"
+    pattern = replace(stage_pattern(transcription), direct=True, single=single)
     places = solver.places(pattern)
     places |= {("C", i): [("qp_data.C", i)] for i in range(s.rows.size * n)}
     places |= {("g", i): [("g", i)] for i in range(s.rows.size)}
@@ -111,7 +114,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
     files = {
         f"include/{name}_rti.h": render("rti.h.jinja"),
         f"src/{name}_rti.c": render("rti.c.jinja"),
-        f"src/{name}_lanes.h": render("lanes.h.jinja", lane_functions=stages.math),
+        f"src/{name}_lanes.h": render("lanes.h.jinja", lane_functions=stages.math, single=single),
         f"src/{name}_stages.h": render("stages.h.jinja", signature=stages.signature),
         f"src/{name}_stages.c": render("stages.c.jinja", source=stages.source),
         **solver.sources(name, pattern),
@@ -121,9 +124,9 @@ def rti_sources(transcription: Transcription, backend: str, where: str) -> RtiSo
         (transcription.retract, f"{name}_retract", ["x", "dx"], ["moved"]),
         (transcription.difference, f"{name}_difference", ["from", "to"], ["dx"]),
         (transcription.rest, f"{name}_rest", ["x"], ["rest"]),
-        (transcription.command, f"{name}_command", ["x", "u"], ["command"]),
+        (transcription.command, f"{name}_command", ["x", "u", "stage"], ["command"]),
     ]
-    return RtiSources(files, functions, context)
+    return RtiSources(files_in_single_precision(files) if single else files, functions, context)
 
 
 def stage_pattern(transcription: Transcription) -> QpPattern:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from aerotact.dynamics import so3
-from aerotact.dynamics.rotors import allocation_parts, tilting, wrench_rank
+from aerotact.dynamics.rotors import allocation_parts, lift_and_torque_rank, tilting, wrench_rank
 from aerotact.exceptions import InputError, MissingCapability
 from aerotact.ports import Array, Layout, Port
 from aerotact.robot import HOVER_KEYFRAME, Robot
@@ -24,8 +24,10 @@ CAPABILITIES = {
     "fixed_rotors": "no rotor tilts",
     "force_torque": "a force/torque sensor carries the tool",
     "passive_joint": "there is a joint that nothing drives",
+    "quasi_static": "joints of arms follow their servos, so that they can be predicted at rest",
     "rigid_body": "no joints, but for tilting rotors",
     "six_axis_wrench": "force and torque can be changed in all six directions at hover",
+    "thrust_and_torque": "force along the base's z and torque can be changed independently at hover",
     "tilt": "rotors tilt",
     "tool": "a tool is named",
 }
@@ -121,6 +123,8 @@ class Model:
         found = {"rigid_body", "tilt" if self.tilts else "fixed_rotors"}
         if wrench_rank(self.robot) == 6:
             found.add("six_axis_wrench")
+        if lift_and_torque_rank(self.robot) == 4:
+            found.add("thrust_and_torque")
         if self.robot.has_tool:
             found.add("tool")
         if self.robot.force_torque is not None:
@@ -218,6 +222,11 @@ class Model:
     def inverse_inertia(self) -> Any:
         """Inverse of the inertia about the centre of mass, 1/(kg m2), (3, 3)."""
         return ca.sparsify(ca.DM(_clean(np.linalg.inv(self.robot.J_C))))
+
+    @cached_property
+    def turning_inertia(self) -> Array:
+        """Inertia (3, 3), kg m2, that a torque on the free base has to turn at hover, in B."""
+        return self.robot.J_C
 
     def rotor_wrench(self, thrust: Any, tilt: Any = None) -> tuple[Any, Any]:
         """Force, N, and torque about the centre of mass, N m, of the rotors, in B; ryll2019 (8)-(9), and tilted.

@@ -278,6 +278,32 @@ class Multibody(Model):
         turn = so3.quaternion_rate(s["q_WB"], s["w_B"])
         return ca.cse(ca.vertcat(s["v_WB"], turn, a_WB, dw_B, s["joint_rate"], ddq, u))
 
+    def held_arms(self, q: Any) -> tuple[Any, Any]:
+        """What the base has to move while the arms' servos hold and the passive joints are free, at joint angles q.
+
+        With the passive joints eliminated from (13), M_bb a + M_bp dd_p = f_b and M_pb a + M_pp dd_p = f_p give
+
+            (M_bb - M_bp M_pp^-1 M_pb) [a_B; dw_B] = f_b - M_bp M_pp^-1 f_p.
+
+        Returns:
+            the left matrix, (6, 6), and the factor of f_p, -M_bp M_pp^-1, (6, passive); forces in B about its origin.
+        """
+        M, n = self.bodies.mass_matrix(q), self.passive
+        if not n:
+            return M[0:6, 0:6], ca.DM.zeros(6, 0)
+        passed = -ca.mtimes(M[0:6, 6 : 6 + n], ca.inv(M[6 : 6 + n, 6 : 6 + n]))
+        return M[0:6, 0:6] + ca.mtimes(passed, M[6 : 6 + n, 0:6]), passed
+
+    @cached_property
+    def turning_inertia(self) -> Array:
+        """Inertia (3, 3), kg m2, that a torque on the free base has to turn at hover, in B.
+
+        The arms' joints are held and the passive ones free: what hangs on a passive joint resists a turn across its
+        axis, and not about it.
+        """
+        M = ca.DM(self.held_arms(ca.DM(self.hover_joint))[0]).full()
+        return np.asarray(M[3:, 3:] - M[3:, :3] @ np.linalg.solve(M[:3, :3], M[:3, 3:]))
+
     def gravity_torque(self, x: Any) -> Any:
         """Torques that hold the joints against gravity at rest, N m, shape (m,)."""
         s = self.state.split(x)
@@ -315,6 +341,12 @@ class Multibody(Model):
         s = self.state.split(x)
         rest = ca.DM.zeros(6), s["joint"], ca.DM.zeros(self.joints)
         return ca.vertcat(s["p_WB"], s["q_WB"], *rest, s["servo"], s["thrust"])
+
+    def state_at(self, q_WB: Any, joint: Any) -> Any:
+        """The hover state with another attitude and other joint angles."""
+        x = ca.SX(ca.DM(self.hover_state))
+        x[self.state.slice("q_WB")], x[self.state.slice("joint")] = q_WB, joint
+        return x
 
     # sensors
 

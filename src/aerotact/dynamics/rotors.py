@@ -81,6 +81,12 @@ def wrench_rank(robot: Robot) -> int:
     return int((singular > RANK_TOLERANCE * singular[0]).sum())
 
 
+def lift_and_torque_rank(robot: Robot) -> int:
+    """The same of force along the base's z and torque alone: 4 is what a robot that tilts to move sideways needs."""
+    singular = np.linalg.svd(wrench_jacobian(robot)[2:], compute_uv=False)
+    return int((singular > RANK_TOLERANCE * singular[0]).sum())
+
+
 def least_thrust_inverse(robot: Robot) -> Array:
     """Matrix (n, 6) from a wrench to the thrusts of least sum of squares (the inverse, if n = 6), all rotors fixed."""
     return np.asarray(np.linalg.pinv(allocation(robot)))

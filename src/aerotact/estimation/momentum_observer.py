@@ -90,7 +90,12 @@ def add_momentum_observer(b: BlockBuilder, model: Model, rate: float, base: Base
 
 
 def momentum_observer(model: Model, rate: float) -> Block:
-    """Wrench observer of bodie2021 (5)-(6) at `rate` Hz; the wrench is that of the environment on the robot."""
+    """Wrench observer of bodie2021 (5)-(6) at `rate` Hz; the wrench is that of the environment on the robot.
+
+    Raises:
+        MissingCapability: the robot is no rigid body.
+    """
+    model.require(["rigid_body"], "estimator momentum_observer")
     b = BlockBuilder("momentum_observer", "bodie2021", rate, "external wrench from momentum and rotor wrench (5)-(6)")
     base = add_base(b, model)
     wrench, _ = add_rotor_wrench(b, model)

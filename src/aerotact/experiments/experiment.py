@@ -24,6 +24,8 @@ class ControllerSpec:
         rate: Hz of a law; None for an ocp file, which has its own.
         parameters: that differ from the robot's or the problem's own.
         estimators: estimator -> parameters that differ from the robot's own.
+        inner: controller that follows this one's outputs, by the names of its references; None if this one commands
+            the robot itself.
         doc: one line on how it was tuned.
     """
 
@@ -32,6 +34,12 @@ class ControllerSpec:
     doc: str
     parameters: Parameters = field(default_factory=dict)
     estimators: Mapping[str, Parameters] = field(default_factory=dict)
+    inner: "ControllerSpec | None" = None
+
+    @property
+    def chain(self) -> tuple["ControllerSpec", ...]:
+        """This controller and those inside of it, from the outermost on."""
+        return (self, *self.inner.chain) if self.inner else (self,)
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,8 @@ class Case:
         doc: one line.
         duration: s.
         judged: start and stop in s of the part that metrics look at.
-        parameters: of every controller, for this case.
+        parameters: of every controller, for this case; of nested ones, of those that have them.
+        robot: name or folder of the robot of this case; None is the experiment's.
     """
 
     name: str
@@ -51,6 +60,7 @@ class Case:
     duration: float
     judged: tuple[float, float]
     parameters: Parameters = field(default_factory=dict)
+    robot: str | None = None
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ class Plant:
         data: its `mujoco.MjData`; call `mujoco.mj_forward(model, data)` after writing into it.
         rng: of what disturbances draw; begins anew at each reset.
         tip: the end of the tool, its contacts and their friction.
+        tips: that one, then those of the arms that `robot.tool` does not name.
         disturbances: those that act, in order; add by `disturb`.
         timestep: of the physics, s.
     """
@@ -89,11 +90,14 @@ class Plant:
         self.disturbances: list[Disturbance] = []
         self._find_parts()
         self.tip = Tip(robot, self.model, self.data)
+        others = [arm.tool for arm in robot.arms if arm.tool != robot.file.robot.tool]
+        self.tips = (self.tip, *(Tip(robot, self.model, self.data, tool) for tool in others))
+        self._order = [self._tip_of(arm.tool) for arm in robot.arms]
         self._warnings = self.data.warning.number
         self._xfrc = self.data.xfrc_applied
         self._pushed = False
-        self._push_W = np.zeros(3)
-        self._contact_W = np.zeros(3)
+        self._push_W = np.zeros((len(self.tips), 3))
+        self._contact_W = np.zeros((len(self.tips), 3))
         for disturbance in disturbances:
             self.disturb(disturbance)
         self.reset()
@@ -127,6 +131,9 @@ class Plant:
         self._thrusts = model.actuator_actadr[self._actuators]
         self.servos = TiltServos(self.robot, model, self.data)
         self.joints = Joints(self.robot, model, self.data)
+        own = {alone.body(body).name for body in range(1, alone.nbody)}
+        free = model.body_dofnum == 6
+        self._objects = [int(i) for i in np.flatnonzero(free) if model.body(int(i)).name not in own]
         self._hover_qpos, self._hover_qvel = model.qpos0.copy(), np.zeros(model.nv)
         self._hover_act, self._hover_ctrl = np.zeros(model.na), np.zeros(model.nu)
         for body in np.flatnonzero(alone.body_jntnum):
@@ -143,6 +150,16 @@ class Plant:
                 self._hover_act[model.actuator_actadr[new]] = alone.key_act[key, alone.actuator_actadr[index]]
 
     @property
+    def objects(self) -> tuple[str, ...]:
+        """Names of the world's free bodies, in the order of `objects_W` in `truth`."""
+        return tuple(self.model.body(index).name for index in self._objects)
+
+    def objects_seen(self) -> dict[str, Array]:
+        """`objects_W` of `truth`; nothing if the world has no free bodies."""
+        poses = [np.concatenate([self.data.xpos[i], self.data.xquat[i]]) for i in self._objects]
+        return {"objects_W": np.concatenate(poses)} if poses else {}
+
+    @property
     def time(self) -> float:
         """Simulated time, s."""
         return float(self.data.time)
@@ -155,6 +172,10 @@ class Plant:
         """
         disturbance.begin(self)
         self.disturbances.append(disturbance)
+
+    def start_at(self, places: slice, coordinates: ArrayLike) -> None:
+        """Let `reset` bring part of qpos to other values; for use by disturbances in `begin`."""
+        self._hover_qpos[places] = coordinates
 
     def reset(self, p_WB: ArrayLike | None = None, q_WB: ArrayLike | None = None) -> None:
         """Back to time 0 and the hover keyframe, at rest, with the base moved where asked.
@@ -180,13 +201,19 @@ class Plant:
         data.act[:], data.ctrl[:] = self._hover_act, self._hover_ctrl
         self.servos.reset()
         self.joints.reset()
-        self.tip.reset()
+        for tip in self.tips:
+            tip.reset()
         self.rng = np.random.default_rng((self._seed, 1))
         self._pushed = False
-        self._push_W, self._contact_W = np.zeros(3), np.zeros(3)
+        self._push_W, self._contact_W = np.zeros((len(self.tips), 3)), np.zeros((len(self.tips), 3))
         mujoco.mj_forward(self.model, data)
         if data.ncon:
-            self.tip.read_normal_forces()
+            for tip in self.tips:
+                tip.read_normal_forces()
+
+    def _tip_of(self, tool: str) -> int:
+        """Place in `tips` of the tip at a site."""
+        return [tip.site for tip in self.tips].index(self.model.site(tool).id)
 
     def command(self, thrust: ArrayLike, tilt: ArrayLike | None = None, servo: ArrayLike | None = None) -> None:
         """Set the commanded thrusts, tilt and servo angles; they hold until the next call. Beyond a range they are cut.
@@ -222,16 +249,24 @@ class Plant:
             self._xfrc[body, 3:] += torque_W
         self._pushed = True
 
-    def push_tool(self, force_W: Array, offset_E: Array) -> None:
-        """Let a force act on the tool for the coming step; it counts in `f_tool_W`.
+    def push_tool(self, force_W: Array, offset_E: Array, arm: int | None = None) -> None:
+        """Let a force act on a tool for the coming step; it counts in `f_tool_W` and `f_tools_W`.
 
         Args:
             force_W: N, shape (3,).
             offset_E: point of attack in E, m, shape (3,).
+            arm: place in `robot.arms`; None is the tool that robot.toml names.
         """
-        R_WE = self.data.site_xmat[self.tip.site].reshape(3, 3)
-        self.push(self.tip.body, force_W, self.data.site_xpos[self.tip.site] + R_WE @ offset_E)
-        self._push_W = self._push_W + force_W
+        place = 0 if arm is None else self._order[arm]
+        site = self.tips[place].site
+        R_WE = self.data.site_xmat[site].reshape(3, 3)
+        self.push(self.tips[place].body, force_W, self.data.site_xpos[site] + R_WE @ offset_E)
+        self._push_W[place] += force_W
+
+    def tool_point(self, arm: int) -> tuple[Array, Array]:
+        """Position, m, and velocity, m/s, of a tool in W, shape (3,) each; `arm` is its place in `robot.arms`."""
+        tip = self.tips[self._order[arm]]
+        return self.data.site_xpos[tip.site].copy(), tip.velocity()[3:].copy()
 
     def step(self) -> None:
         """One step of the physics.
@@ -243,7 +278,7 @@ class Plant:
         if self._pushed:
             self._xfrc.fill(0.0)
             self._pushed = False
-            self._push_W = np.zeros(3)
+            self._push_W[:] = 0.0
         for disturbance in self.disturbances:
             disturbance.apply(self)
         self.servos.turn()
@@ -252,9 +287,10 @@ class Plant:
             if data.ncon and self.tip.geoms:
                 self._step_in_contact()
             else:
-                if self.tip.normal_forces:
-                    self.tip.reset()
-                    self._contact_W = np.zeros(3)
+                for place, tip in enumerate(self.tips):
+                    if tip.normal_forces:
+                        tip.reset()
+                        self._contact_W[place] = 0.0
                 mujoco.mj_step2(model, data)
             mujoco.mj_step1(model, data)
         except mujoco.FatalError as error:
@@ -268,17 +304,19 @@ class Plant:
 
     def _step_in_contact(self) -> None:
         """Friction from the normal forces of the step before, then the step, then its normal forces."""
-        contacts = self.tip.contacts()
-        total = np.zeros(3)
-        for contact, force in zip(contacts, self.tip.friction_forces(contacts), strict=True):
-            self.push(self.tip.body, force, contact.p_WC)
-            if surface := self.tip.moving_body(contact):
-                self.push(surface, -force, contact.p_WC)
-            total += force
+        found = [tip.contacts() for tip in self.tips]
+        total = np.zeros((len(self.tips), 3))
+        for place, (tip, contacts) in enumerate(zip(self.tips, found, strict=True)):
+            for contact, force in zip(contacts, tip.friction_forces(contacts), strict=True):
+                self.push(tip.body, force, contact.p_WC)
+                if surface := tip.moving_body(contact):
+                    self.push(surface, -force, contact.p_WC)
+                total[place] += force
         mujoco.mj_step2(self.model, self.data)
-        self.tip.read_normal_forces()
-        for contact in contacts:
-            total += self.tip.normal_forces[contact.key] * contact.n_W
+        for place, (tip, contacts) in enumerate(zip(self.tips, found, strict=True)):
+            tip.read_normal_forces()
+            for contact in contacts:
+                total[place] += tip.normal_forces[contact.key] * contact.n_W
         self._contact_W = total
 
     def base_pose(self) -> Array:
@@ -299,7 +337,9 @@ class Plant:
             command asked of the servos at the start of the last step, beyond their limits or not; shape (m,), left out
             if nothing tilts;
             joint (rad), joint_rate (rad/s): passive and arm joints, shape (k,); servo (rad): shafts of servos,
-            shape (s,); p_tools_W (m): the arms' tools, shape (3 arms,); left out if there are none;
+            shape (s,); p_tools_W (m) and f_tools_W (N): the arms' tools and the force of the environment on them,
+            contact and disturbances, shape (3 arms,); left out if there are none;
+            objects_W: position (m) and attitude (wxyz) of each free body of the world, shape (7 n,), likewise;
             p_WE (m), q_WE (wxyz), v_WE (m/s, in W): the tool, left out without one;
             f_tool_W: force of the environment on the tool, contact and disturbances, N;
             f_contact_W: the contact's part of it, normal force and friction, N.
@@ -315,12 +355,15 @@ class Plant:
             **self.servos.truth(),
             **self.joints.truth(),
         }
+        values |= self.objects_seen()
         if self.tip.site >= 0:
             q_WE = np.zeros(4)
             mujoco.mju_mat2Quat(q_WE, data.site_xmat[self.tip.site])
             values["p_WE"] = data.site_xpos[self.tip.site].copy()
             values["q_WE"] = q_WE
             values["v_WE"] = self.tip.velocity()[3:].copy()
-            values["f_tool_W"] = self._contact_W + self._push_W
-            values["f_contact_W"] = self._contact_W.copy()
+            values["f_tool_W"] = self._contact_W[0] + self._push_W[0]
+            values["f_contact_W"] = self._contact_W[0].copy()
+        if self._order:
+            values["f_tools_W"] = (self._contact_W + self._push_W)[self._order].ravel()
         return values

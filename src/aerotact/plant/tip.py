@@ -22,8 +22,14 @@ class Tip:
         normal_forces: key of each contact of the last solution -> normal force on the tip, N.
     """
 
-    def __init__(self, robot: Robot, model: Any, data: Any) -> None:
+    def __init__(self, robot: Robot, model: Any, data: Any, tool: str | None = None) -> None:
         """Find the tip by name.
+
+        Args:
+            robot: whose tip it is.
+            model: compiled plant.
+            data: its state.
+            tool: site at the tip; None is the robot's own tool.
 
         Raises:
             RobotError: a geom of the tip has friction of its own.
@@ -34,9 +40,9 @@ class Tip:
         self._velocity = np.zeros(6)
         self.site, self.body = -1, -1
         self.geoms: frozenset[int] = frozenset()
-        if not robot.has_tool:
+        if tool is None and not robot.has_tool:
             return
-        self.site = int(model.site(robot.file.robot.tool).id)
+        self.site = int(model.site(tool or robot.file.robot.tool).id)
         self.body = int(model.site_bodyid[self.site])
         collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         self.geoms = frozenset(int(g) for g in np.flatnonzero((model.geom_bodyid == self.body) & collides))

@@ -70,7 +70,8 @@ class QpSolver:
             CompilerNotFound, CodegenError: as compile_library; or the back end cannot do this.
         """
         self.pattern = pattern
-        files = dict(find_backend(backend, "QpSolver").sources(name, pattern))
+        chosen = find_backend(backend, "QpSolver")
+        files = dict(chosen.sources(name, pattern))
         header = f"{name}_qp.h"
         size = f"size_t {name}_qp_workspace_bytes(void)"
         shim = f"src/{name}_qp_workspace_bytes.c"
@@ -80,7 +81,7 @@ class QpSolver:
         sources = tuple(p for p in files if p.endswith(".c") and not p.startswith(THIRD_PARTY))
         self._ffi = cffi.FFI()
         self._ffi.cdef(_declarations(files[f"include/{header}"], name) + f"\n{size};")
-        library = compile_library(CProject(name, files, sources))
+        library = compile_library(CProject(name, files, sources, chosen.linked))
         try:
             self._lib: Any = self._ffi.dlopen(str(library))
         except OSError as error:
@@ -93,6 +94,7 @@ class QpSolver:
         start = self._memory.ctypes.data
         self._workspace = self._ffi.cast("void *", start + -start % 64)
         getattr(self._lib, f"{name}_qp_default_settings")(self._settings)
+        self._real = np.float32 if pattern.single else np.float64
         self.data = self._views(self._data)
         self._found = self._views(self._solution)
         self.reset()
@@ -144,7 +146,7 @@ class QpSolver:
         )
 
     def _views(self, struct: Any) -> dict[str, Array]:
-        """Arrays of doubles in a C struct, as writable arrays (stages, numbers of a stage)."""
+        """Arrays of numbers in a C struct, as writable arrays (stages, numbers of a stage)."""
         views = {}
         for name, field in self._ffi.typeof(struct).item.fields:
             if field.type.kind == "array":
@@ -153,7 +155,7 @@ class QpSolver:
                     shape.append(item.length)
                     item = item.item
                 memory = self._ffi.buffer(self._ffi.addressof(struct[0], name))
-                views[name] = np.frombuffer(memory, dtype=float).reshape(shape)
+                views[name] = np.frombuffer(memory, dtype=self._real).reshape(shape)
         return views
 
 

@@ -232,6 +232,7 @@ class AcadosPeer:
             usable=status in (0, 2, 5),
             solution=solution,
             own=own,
+            work=float(np.sum(self._solver.get_stats("qp_iter"))),
             parts={"hpipm": self._stat("time_qp_solver_call"), "condensing": self._stat("time_qp_xcond")},
         )
 

@@ -24,6 +24,7 @@ class Answer:
         solution: changes and multipliers, of the common Qp if `own` is None, else of `own`; None if there are none.
         own: the solver's own Qp, where its coordinates are not the common ones.
         parts: further times, microseconds, by name.
+        work: factorisations of the horizon, partial ones included; NaN where not known.
     """
 
     u0: Array
@@ -34,6 +35,7 @@ class Answer:
     solution: Solution | None = None
     own: Qp | None = None
     parts: dict[str, float] = field(default_factory=dict)
+    work: float = float("nan")
 
 
 class Peer(Protocol):
