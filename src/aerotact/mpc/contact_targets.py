@@ -130,6 +130,8 @@ def add_contact(
     felt_W = felt_W * ca.fmin(1, friction / ca.sqrt(ca.sumsqr(felt_W) + 1e-12))
 
     near = ca.if_else(known, nearness(distance, span), 0)
+    # While the tip approaches no contact is predicted: the plan would push harder to keep its speed into the wall.
+    met = ca.logic_not(approaching)
     columns, forces = [], []
     for k, time in enumerate(times):
         reachable = force_rate * time
@@ -139,7 +141,21 @@ def add_contact(
         moving = pace / ca.sqrt(pace**2 + SLIDING**2)
         friction_W = felt_W + moving * (-friction * sliding / pace - felt_W)
         columns.append(
-            [n, offset, friction_W, stiffness, damping, pushing, f_push, wanted, approaching, speed, near, slow + margin, slope]
+            [
+                n,
+                offset,
+                friction_W,
+                met * stiffness,
+                met * damping,
+                pushing,
+                f_push,
+                wanted,
+                approaching,
+                speed,
+                near,
+                slow + margin,
+                slope,
+            ]
         )
         forces.append(touching * ca.if_else(wanted, f_push, ca.fmax(normal, 0)) * (n + friction_W))
     telemetry = [
