@@ -155,7 +155,7 @@ def _add_gains(b: BlockBuilder) -> ArmGains:
         force=add_force_gains(b),
         speed=b.parameter("speed", 1, "m/s", 0.15, doc="v of (23), of the tools towards their goals", lower=0.0),
         speed_max=b.parameter("speed_max", 1, "m/s", 0.1, doc="v_max of (24), at full joystick", lower=0.0),
-        gamma=b.parameter("gamma", 1, "1", 0.5, doc="share of the force's corrections, (31)", lower=0.0, limit=1.0),
+        gamma=b.parameter("gamma", 1, "1", 1.0, doc="share of the force's corrections, (31)", lower=0.0, limit=1.0),
     )
 
 
