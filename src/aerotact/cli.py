@@ -130,6 +130,9 @@ def generate(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the C project.")],
     robot: Annotated[str, typer.Option("--robot", "-r", help="Name or folder of the robot.")],
     rate: Annotated[float | None, typer.Option(help="Hz of a law or an estimator; 500 if not given.")] = None,
+    precision: Annotated[
+        str | None, typer.Option(help="double, or single for floats; of an MPC, its file's own if not given.")
+    ] = None,
 ) -> None:
     """Write a standalone C project: header, sources, example, Makefile, CMakeLists.txt, manifest.
 
@@ -139,15 +142,18 @@ def generate(
     `aerotact generate ryll2019_admittance --robot models/my_robot --rate 250 -o my_law`
     """
     from aerotact.codegen.build import measured
+    from aerotact.codegen.precision import PRECISIONS
     from aerotact.dynamics.model_of import model_of
-    from aerotact.exceptions import CodegenError
+    from aerotact.exceptions import CodegenError, UnknownName
     from aerotact.flight import controller_project
     from aerotact.robot import load_robot
 
     if rate is not None and not 1.0 <= rate <= 1e5:
         raise InputError(f"--rate is {rate:g} Hz; valid: 1 to 100000 Hz")
+    if precision is not None and precision not in PRECISIONS:
+        raise UnknownName("precision", precision, PRECISIONS, "--precision")
     begin = perf_counter()
-    project = controller_project(name, model_of(load_robot(robot)), rate)
+    project = controller_project(name, model_of(load_robot(robot)), rate, precision=precision)
     generated = perf_counter()
     if rate is not None and abs(project.manifest["rate_hz"] - rate) > 1e-9:
         raise InputError(
@@ -297,7 +303,7 @@ def bench(
     horizon: Annotated[list[int] | None, typer.Option(min=1, help="Intervals for the growth; may be repeated.")] = None,
     solvers: Annotated[
         list[str] | None,
-        typer.Option("--solver", "-s", help="aerotact, acados, hpipm, osqp, casadi, ipopt; may be repeated."),
+        typer.Option("--solver", "-s", help="aerotact, single, acados, hpipm, osqp, casadi, ipopt; may be repeated."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the steps of the reference.")] = 11,
     blocks: Annotated[

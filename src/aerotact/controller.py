@@ -63,7 +63,7 @@ class Controller:
     """A law, an estimator or an MPC as it runs on the robot's computer.
 
     Inputs are written into `measurement`, `reference` and `parameters`: dicts of writable arrays, one a port, which are
-    views of the C structs, of floats where the project is in single precision. `step` reads them and fills `output`, the
+    views of the C structs, of floats if the project is in single precision. `step` reads them and fills `output`, the
     same way.
     """
 

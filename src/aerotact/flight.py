@@ -67,7 +67,9 @@ class Result:
     file: Path | None
 
 
-def controller_project(name: str, model: Model, rate: float | None, delay: float | None = None) -> CProject:
+def controller_project(
+    name: str, model: Model, rate: float | None, delay: float | None = None, precision: str | None = None
+) -> CProject:
     """The C project of a law or of an ocp file, by name (or path of the latter).
 
     Args:
@@ -75,6 +77,7 @@ def controller_project(name: str, model: Model, rate: float | None, delay: float
         model: of the robot.
         rate: Hz of a law; None is LAW_RATE.
         delay: s that an MPC is to predict, instead of its file's own.
+        precision: "double" or "single"; of an MPC, None is its file's own.
 
     Raises:
         UnknownName: neither a law nor an ocp file.
@@ -82,9 +85,9 @@ def controller_project(name: str, model: Model, rate: float | None, delay: float
     """
     known = laws() | estimators()
     if name in known:
-        return block_project(known[name](model, rate or LAW_RATE), model)
+        return block_project(known[name](model, rate or LAW_RATE), model, precision or "double")
     if name in problem_files() or Path(name).suffix == ".toml":
-        return mpc_project(load_ocp(name, model, delay))
+        return mpc_project(load_ocp(name, model, delay), precision)
     raise UnknownName("law, estimator or optimal control problem", name, [*known, *problem_files()])
 
 

@@ -12,9 +12,11 @@ from native import PLAIN, SANITIZED, run
 
 from aerotact.codegen.functions import number
 from aerotact.codegen.mpc_project import mpc_block, mpc_project
+from aerotact.codegen.precision import in_single_precision
 from aerotact.codegen.project import CProject, block_project
 from aerotact.controller import Status
 from aerotact.dynamics.model import Model
+from aerotact.laws import laws
 from aerotact.mpc.ocp import Ocp, load_ocp
 from aerotact.ports import Block, Layout
 
@@ -37,6 +39,9 @@ def _fly(
 ) -> dict[Status, int]:
     """How often each status was returned."""
     harness = _harness(block, model, share, steps, mpc=project.manifest.get("ocp") is not None)
+    if project.manifest["precision"] == "single":
+        harness = in_single_precision(harness)
+    folder.mkdir(exist_ok=True)
     statuses, kinds = ([int(n) for n in line.split()] for line in run(folder, project, harness, flags).splitlines())
     assert sum(statuses) == sum(kinds) >= steps
     assert all(kinds)
@@ -133,6 +138,25 @@ def test_mpc_of_a_short_horizon_by_osqp_keeps_its_promises(
     model = models["octorotor"]
     ocp, steps = load_ocp(path, model), STEPS // 5
     _check_mpc(_fly(tmp_path, mpc_block(ocp), model, mpc_project(ocp), MOSTLY_REFUSED, PLAIN, steps), steps)
+
+
+def test_law_in_single_precision_keeps_its_promises(tmp_path: Path, hexarotor: Model) -> None:
+    block = laws()["ryll2019_admittance"](hexarotor, 500.0)
+    project = block_project(block, hexarotor, "single")
+    counts = _fly(tmp_path, block, hexarotor, project, EVEN, SANITIZED)
+    assert counts[Status.OK] > STEPS // 10
+    assert counts[Status.BAD_INPUT] > STEPS // 3
+
+
+def test_mpc_in_single_precision_keeps_its_promises(
+    tmp_path: Path, hexarotor_ocp: Ocp, models: dict[str, Model], short_problem: Path
+) -> None:
+    project = mpc_project(hexarotor_ocp, "single")
+    _check_mpc(_fly(tmp_path / "long", mpc_block(hexarotor_ocp), hexarotor_ocp.model, project, MOSTLY_REFUSED, PLAIN))
+    model = models["octorotor"]
+    ocp, steps = load_ocp(short_problem, model), STEPS // 5
+    project = mpc_project(ocp, "single")
+    _check_mpc(_fly(tmp_path / "short", mpc_block(ocp), model, project, MOSTLY_REFUSED, SANITIZED, steps), steps)
 
 
 def _check_mpc(counts: dict[Status, int], steps: int = STEPS) -> None:

@@ -1,8 +1,11 @@
 """The contact observer: what is contact, what is friction and what is disturbance, from readings made by hand."""
 
+import casadi as ca
 import numpy as np
 import pytest
+from stepping import rotation
 
+from aerotact.dynamics.contact import Surface, contact_motion
 from aerotact.dynamics.model import Model
 from aerotact.estimation.contact_observer import contact_observer
 from aerotact.exceptions import MissingCapability
@@ -25,17 +28,18 @@ class Observed:
     def step(self, f_tool_W: Array, **measured: Array | float) -> dict[str, Array]:
         """One step; `f_tool_W` is the force of the environment on the tip, `measured` replaces what hover gives."""
         sensor, robot = self._sensor, self.model.robot
-        weight_B = np.array([0.0, 0.0, sensor.distal_mass * robot.gravity])
-        f_S = sensor.R_BS.T @ (weight_B - f_tool_W)
-        tau_S = np.cross(sensor.p_SD, sensor.R_BS.T @ weight_B)
-        tau_S -= sensor.R_BS.T @ np.cross(robot.p_BE - sensor.p_BS, f_tool_W)
         hover = self.model.state.unpack(self.model.hover_state)
+        up_B = rotation(np.asarray(measured.get("q_WB", hover["q_WB"]))).T
+        weight_B, f_tool_B = up_B @ [0.0, 0.0, sensor.distal_mass * robot.gravity], up_B @ f_tool_W
+        f_S = sensor.R_BS.T @ (weight_B - f_tool_B)
+        tau_S = np.cross(sensor.p_SD, sensor.R_BS.T @ weight_B)
+        tau_S -= sensor.R_BS.T @ np.cross(robot.p_BE - sensor.p_BS, f_tool_B)
         # the robot does not move, whatever the tool feels: an accelerometer at rest
         values = {
             **{name: hover[name] for name in ("p_WB", "q_WB", "v_WB", "w_B")},
             "thrust_measured": hover["thrust"],
             "tilt_measured": hover["tilt"],
-            "specific_force_B": [0.0, 0.0, robot.gravity],
+            "specific_force_B": up_B @ [0.0, 0.0, robot.gravity],
             "f_sensor_S": f_S,
             "tau_sensor_S": tau_S,
             "n_W": N_W,
@@ -105,3 +109,18 @@ def test_friction_follows_what_the_sliding_tip_feels_and_rests_with_it(observed:
 def test_a_robot_without_the_sensor_is_refused(hexarotor: Model) -> None:
     with pytest.raises(MissingCapability, match="force_torque"):
         contact_observer(hexarotor, RATE)
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.5])
+def test_the_predictor_finds_the_force_that_is_felt(tilting: Model, pitch: float) -> None:
+    """Whatever the pose, and whatever turns the robot: what the observer calls disturbance explains the reading."""
+    q_WB = np.array([np.cos(pitch / 2), 0.0, np.sin(pitch / 2), 0.0])
+    hover = tilting.state.unpack(tilting.hover_state)
+    thrust = hover["thrust"] * [1.1, 0.9, 1.0, 1.2, 0.8, 1.0]
+    observed, push = Observed(tilting), 8.0 * N_W
+    out = observed.run(1.5, push, q_WB=q_WB, thrust_measured=thrust)
+    x = tilting.state.pack({**hover, "q_WB": q_WB, "thrust": thrust})
+    rest = ca.vertcat(ca.DM(out["f_dist_W"]), ca.DM(out["tau_dist_B"]))
+    surface = Surface(ca.DM(N_W), 0.0, ca.DM.zeros(3), 2000.0, 150.0, 1.0)
+    # the torque observer takes the robot for one that does not turn, as the readings say
+    assert float(contact_motion(tilting, ca.DM(x), rest, surface).force) == pytest.approx(8.0, abs=1e-3)

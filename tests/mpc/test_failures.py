@@ -185,7 +185,7 @@ def test_deadline_gives_what_there_is(ocp: Ocp, mpc: Inspected) -> None:
     assert mpc.statistics.failures == 0
     assert mpc.statistics.qp_iterations < needed
     assert mpc.statistics.qp_feasibility < 1e-4
-    command = ocp.command(mpc.fields["plan_x"][0], mpc.fields["plan_u"][0]).full().ravel()
+    command = ocp.command(mpc.fields["plan_x"][0], mpc.fields["plan_u"][0], mpc.fields["stage"][0]).full().ravel()
     np.testing.assert_allclose(mpc.output["thrust_cmd"], command, atol=1e-9)
 
 

@@ -132,6 +132,6 @@ def test_first_control_is_a_held_command_and_the_others_are_rates(ocp: Ocp) -> N
     x, u = ocp.model.hover_state, np.full(ocp.model.rotors, 20.0)
     stage = ocp.targets.stage.default
     after = ocp.step(x, u, stage, period, ocp.gains[0]).full().ravel()
-    command = ocp.command(x, u).full().ravel()
+    command = ocp.command(x, u, stage).full().ravel()
     held = x[13:] + (command - x[13:]) * (1 - np.exp(-period / tau))
     np.testing.assert_allclose(after[13:], held, rtol=1e-13)

@@ -85,7 +85,7 @@ def test_converged_iteration_equals_ipopt(ocp: Ocp, mpc: Inspected, name: str) -
     x0 = mpc.fields["plan_x"][0]
     states, controls, cost = _ipopt(ocp, mpc.fields["stage"], x0)
 
-    expected = ocp.command(x0, controls[0]).full().ravel()
+    expected = ocp.command(x0, controls[0], mpc.fields["stage"][0]).full().ravel()
     np.testing.assert_allclose(mpc.output["thrust_cmd"], expected, atol=1e-4)
     np.testing.assert_allclose(mpc.fields["plan_x"][1:, :3], states[:, :3], atol=1e-5)
     assert _cost(ocp, mpc) == pytest.approx(cost, rel=1e-6)

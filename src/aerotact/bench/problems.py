@@ -160,7 +160,7 @@ def _statement(
         rest=lambda x: ca.vertcat(x[0:7], ca.SX.zeros(6), x[13:]),
         terms=terms,
         terminal_terms=terminal_terms,
-        command=lambda x, u: x[13:] + INTERVAL * u,
+        command=lambda x, u, _: x[13:] + INTERVAL * u,
         bounds=Bounds(tuple(range(13, 13 + nu)), lower, upper, -rate_limit, rate_limit),
         damping=0.0,
     )

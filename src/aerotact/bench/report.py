@@ -12,7 +12,7 @@ from aerotact.bench.run import Race
 from aerotact.plots import COLOURS, label, panels, save
 
 PERCENTILES = ("p50", "p99", "max")
-SHOWN = ("aerotact", "acados", "hpipm 1e-6", "osqp 1e-3", "casadi qrqp")
+SHOWN = ("aerotact", "aerotact single", "acados", "hpipm 1e-6", "osqp 1e-3", "casadi qrqp")
 Rows = Sequence[Sequence[str]]
 
 

@@ -24,7 +24,7 @@ from aerotact.bench.reference import solve_exactly
 from aerotact.bench.scenario import Sample
 from aerotact.ports import Array
 
-KINDS = ("aerotact", "acados", "hpipm", "osqp", "casadi", "ipopt")
+KINDS = ("aerotact", "single", "acados", "hpipm", "osqp", "casadi", "ipopt")
 WARM_UP = 10
 QUALIFYING = 100
 Progress = Callable[[int, int, str], None]
@@ -126,6 +126,7 @@ def make_peers(
     except Absent as absent:
         skipped.append(str(absent))
     makers += [
+        ("single", lambda: AerotactPeer(problem, precision="single")),
         ("hpipm", lambda: AerotactPeer(problem, "hpipm", tolerance=1e-6)),
         ("hpipm", lambda: AerotactPeer(problem, "hpipm", tolerance=1e-8)),
         ("osqp", lambda: OsqpPeer(problem, 1e-3)),

@@ -46,7 +46,7 @@ def signals(model: Model, x: Any) -> dict[str, Any]:
     zero = ca.DM.zeros(3)
     return {
         **{name: s[name] for name in ("p_WB", "q_WB", "v_WB", "w_B", "joint", "joint_rate") if name in s},
-        **{f"{port.name}_measured": s[port.name] for port in model.actuators},
+        **{f"{port.name}_measured": s[port.name] for port in model.actuators if port.name in s},
         **model.sensed(x),
         "accelerometer_B": specific_force,
         "specific_force_B": specific_force,

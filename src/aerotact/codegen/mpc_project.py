@@ -31,17 +31,22 @@ def mpc_block(ocp: Ocp) -> Block:
     )
 
 
-def mpc_project(ocp: Ocp) -> CProject:
+def mpc_project(ocp: Ocp, precision: str | None = None) -> CProject:
     """The C project of an MPC.
+
+    Args:
+        ocp: the problem.
+        precision: "double" or "single", instead of the file's own.
 
     Raises:
         UnknownName: the ocp file names no back end that exists.
+        CodegenError: the back end lacks what the file wants.
     """
     name, model = ocp.name, ocp.model
     block = mpc_block(ocp)
     context = block_context(block, model.robot)
     context["mpc"] = _context(ocp)
-    precision = ocp.file.solver.precision
+    precision = precision or ocp.file.solver.precision
     rti = rti_sources(ocp, ocp.file.solver.backend, f"{ocp.path}, solver.backend", precision)
     context["rti"] = rti.context
     backend = BACKENDS[ocp.file.solver.backend]
@@ -72,10 +77,10 @@ def _map(target: Layout, source: Layout) -> list[tuple[int, int, int]]:
 
 
 def _context(ocp: Ocp) -> dict[str, Any]:
-    fallback, block = ocp.fallback, ocp.targets.block
+    fallback, block, commands = ocp.fallback, ocp.targets.block, ocp.model.commands
     groups = (("measurement", ocp.measurement), ("reference", ocp.reference), ("parameters", ocp.parameters))
     return {
-        "targets_measurement": block.measurement.size - ocp.statement.nu,
+        "targets_measurement": block.measurement.size - ocp.model.actuators.size,
         "prepared_size": block.output.size,
         "max_failures": ocp.file.problem.max_failures,
         "iterations": ocp.file.solver.iterations,
@@ -85,5 +90,10 @@ def _context(ocp: Ocp) -> dict[str, Any]:
         "fallback_state_size": fallback.state.size,
         "fallback_state": numbers(fallback.state.default),
         "fallback_sizes": {g: getattr(fallback, g).size for g in ("measurement", "reference", "parameters", "output")},
+        "fallback_commands": [
+            (commands.slice(p.name).start, fallback.output.slice(p.name).start, p.total)
+            for p in commands
+            if p.name in fallback.output
+        ],
         "fallback_maps": [(g, _map(getattr(fallback, g), source)) for g, source in groups],
     }

@@ -146,7 +146,7 @@ def osqp_sources(prefix: str, pattern: QpPattern) -> dict[str, str]:
     """Adapter and OSQP's embedded C: path inside the project -> text.
 
     Raises:
-        CodegenError: single precision; there are general rows or soft bounds; or OSQP refuses to set up or to write its code.
+        CodegenError: single precision, general rows or soft bounds; or OSQP refuses to set up or to write its code.
     """
     if pattern.general or any(pattern.soft_bounds):
         raise CodegenError(

@@ -10,45 +10,14 @@ import re
 import sys
 from collections.abc import Mapping
 
+from aerotact.codegen.functions import BINARY, UNARY
+
 PRECISIONS = ("double", "single")
 """Scalar types of generated C, as ocp files name them."""
 
 
-_MATH = frozenset(  # those that CasADi's operations and the templates need
-    [
-        "acos",
-        "acosh",
-        "asin",
-        "asinh",
-        "atan",
-        "atan2",
-        "atanh",
-        "ceil",
-        "copysign",
-        "cos",
-        "cosh",
-        "erf",
-        "exp",
-        "expm1",
-    ]
-    + [
-        "fabs",
-        "floor",
-        "fma",
-        "fmax",
-        "fmin",
-        "fmod",
-        "hypot",
-        "log",
-        "log1p",
-        "pow",
-        "remainder",
-        "sin",
-        "sinh",
-        "sqrt",
-    ]
-    + ["tan", "tanh"]
-)
+# Of math.h: what CasADi's operations need, and the templates.
+_MATH = frozenset(re.findall(r"([a-z]\w*)\(", " ".join([*BINARY.values(), *UNARY.values()]))) | {"fabs", "fma"}
 _TOKEN = re.compile(
     r"""
     (?P<comment>/\*.*?\*/)
@@ -87,6 +56,8 @@ def files_in_single_precision(files: Mapping[str, str]) -> dict[str, str]:
 def _single(match: re.Match[str]) -> str:
     if match["name"]:
         name = match["name"]
+        if name.startswith("DBL_"):
+            return f"FLT_{name[4:]}"
         return "float" if name == "double" else f"{name}f" if name in _MATH else name
     if match["number"] and not match["suffix"]:
         return f"{_literal(match['number'])}f"

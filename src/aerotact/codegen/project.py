@@ -238,13 +238,15 @@ def limit_function(limiter: Any) -> Any:
     return ca.Function("limit", [z, wanted], limiter(z, wanted, ca.SX(0, 1), ca.SX(0, 1)))
 
 
-def block_project(block: Block, model: Model) -> CProject:
-    """The C project of a law or an estimator."""
-    context = block_context(block, model.robot)
+def block_project(block: Block, model: Model, precision: str = "double") -> CProject:
+    """The C project of a law or an estimator; `precision` is "double", or "single" for floats."""
+    context = {**block_context(block, model.robot), "precision": precision}
     functions = [(block.step, f"{block.name}_law", ["z", "y", "r", "p"], ["z_next", "u"])]
     if block.limiter is not None:
         functions.append((limit_function(block.limiter), f"{block.name}_limit", ["z", "wanted"], ["z_next", "u"]))
     example = make_example(
         block.name, model, block.rate, block.measurement, block.reference, block.output, block.limiter is not None
     )
-    return assemble(context, functions, example, "block.c.jinja", manifest(block, model.robot, {}), {})
+    text = manifest(block, model.robot, {"precision": precision})
+    project = assemble(context, functions, example, "block.c.jinja", text, {})
+    return in_single_precision(project) if precision == "single" else project

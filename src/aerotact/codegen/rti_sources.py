@@ -124,7 +124,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str, precisio
         (transcription.retract, f"{name}_retract", ["x", "dx"], ["moved"]),
         (transcription.difference, f"{name}_difference", ["from", "to"], ["dx"]),
         (transcription.rest, f"{name}_rest", ["x"], ["rest"]),
-        (transcription.command, f"{name}_command", ["x", "u"], ["command"]),
+        (transcription.command, f"{name}_command", ["x", "u", "stage"], ["command"]),
     ]
     return RtiSources(files_in_single_precision(files) if single else files, functions, context)
 

@@ -1,7 +1,9 @@
 """Contact: the force of a surface on the tool's tip, as a smooth function of state and actuators.
 
 A surface is locally a plane with unit normal n_W from the surface to the robot; gap = n_W . p_WE - offset. The force on
-the tool is F (n_W - mu s), s being the direction of sliding, smoothed about zero. The normal force F is a blend of two:
+the tool is F (n_W + friction_W), friction_W being told and not a function of the state: friction that opposes the
+predicted sliding, smoothed about zero, would decay at mu F / (m_tip v_smooth), hundreds of 1/s, far beyond what the
+steps of a horizon can integrate. The normal force F is a blend of two:
 
     rigid      F makes the tip's normal velocity decay with SETTLING: no stiffness enters
     compliant  F = stiffness * penetration + damping * speed of approach, smooth and unilateral
@@ -20,7 +22,6 @@ from aerotact.dynamics.model import Model
 
 SETTLING = 12.0  # 1/s
 SMOOTH_GAP = 1e-3  # m, over which the compliant force sets in
-SMOOTH_SPEED = 0.02  # m/s, over which friction sets in
 
 
 @dataclass(frozen=True)
@@ -30,14 +31,14 @@ class Surface:
     Attributes:
         n_W: unit normal from the surface to the robot, (3,).
         offset: n_W . p of the plane's points, m.
-        friction: Coulomb's coefficient.
+        friction_W: tangential force on the tip for each newton of normal force, (3,).
         stiffness, damping: of the compliant force, N/m and N s/m.
         rigid: 1 for the rigid force, 0 for the compliant one, or between.
     """
 
     n_W: Any
     offset: Any
-    friction: Any
+    friction_W: Any
     stiffness: Any
     damping: Any
     rigid: Any
@@ -84,8 +85,7 @@ def contact_motion(model: Model, x: Any, p: Any, surface: Surface) -> ContactMot
     R_WB, w = so3.rotation(s["q_WB"]), s["w_B"]
     v_WE, _ = model.tool_twist(x)
     v_n = ca.dot(n, v_WE)
-    sliding = tangential(n, v_WE)
-    direction = n - surface.friction * sliding / ca.sqrt(ca.sumsqr(sliding) + SMOOTH_SPEED**2)
+    direction = n + surface.friction_W
 
     # All accelerations are affine in the force: these are what a newton of it adds.
     dw_unit = ca.mtimes(model.inverse_inertia, ca.cross(p_CE, ca.mtimes(R_WB.T, direction)))

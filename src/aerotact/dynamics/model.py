@@ -24,6 +24,7 @@ CAPABILITIES = {
     "fixed_rotors": "no rotor tilts",
     "force_torque": "a force/torque sensor carries the tool",
     "passive_joint": "there is a joint that nothing drives",
+    "quasi_static": "joints of arms follow their servos, so that they can be predicted at rest",
     "rigid_body": "no joints, but for tilting rotors",
     "six_axis_wrench": "force and torque can be changed in all six directions at hover",
     "thrust_and_torque": "force along the base's z and torque can be changed independently at hover",

@@ -2,8 +2,8 @@
 
 The tool's force is measured, so that the residuals of force and torque can be cleared of it: what is left is the
 disturbance, errors of the rotors' model included. A push on the tool away from every surface is a disturbance, too. In
-contact, the disturbance along the normal is found from a static balance instead, much faster: there the tip does not
-accelerate, and each newton of it is an error of the contact force.
+contact, the disturbance along the normal is found from the tip instead, much faster: the tip does not accelerate along
+it (though the body may, where the push has a lever arm), and each newton of it is an error of the contact force.
 """
 
 from typing import Any
@@ -74,7 +74,7 @@ def contact_observer(model: Model, rate: float) -> Block:
     tau_tool = b.state("tau_tool_B", 3, "N m", frame="B", doc="its torque about the centre of mass")
     spin_before = b.state("spin_B", 3, "N m s", frame="B", doc="angular momentum one step ago")
     torque_before = b.state("torque_B", 3, "N m", frame="B", doc="known torque one step ago")
-    f_normal_dist = b.state("f_normal_dist", 1, "N", doc="disturbance along the normal, from the static balance")
+    f_normal_dist = b.state("f_normal_dist", 1, "N", doc="disturbance along the normal, from a tip that rests")
     held_n = b.state("n_W", 3, "1", frame="W", doc="normal seen last", default=(0.0, 0.0, 1.0))
     normal = b.state("normal_force", 1, "N", doc="low-passed normal force")
     contact = b.state("contact", 1, "1", kind="flag", doc="1 in contact") > 0
@@ -89,7 +89,8 @@ def contact_observer(model: Model, rate: float) -> Block:
     tare_next = tare + learning / count * (reading - tare)
     f_B, tau_B = (-part for part in wrench_at_tip(model, *ca.vertsplit(reading - tare_next, 3)))
     f_tip_W = ca.mtimes(R_WB, f_B)
-    tau_tip_B = tau_B + ca.cross(ca.DM(robot.p_BE - robot.p_BC), f_B)
+    p_CE = ca.DM(robot.p_BE - robot.p_BC)
+    tau_tip_B = tau_B + ca.cross(p_CE, f_B)
 
     # disturbance
     J = ca.sparsify(ca.DM(np.where(np.abs(robot.J_C) < 1e-15, 0.0, robot.J_C)))
@@ -115,7 +116,10 @@ def contact_observer(model: Model, rate: float) -> Block:
     lost_next = ca.if_else(normal_next < lost_force, lost + period, 0)
     contact_next = ca.if_else(contact, lost_next < lost_time, begins)
 
-    balance = ca.dot(n, robot.mass * ca.DM([0, 0, robot.gravity]) - f_rotors_W - f_tip_W)
+    # the tip's acceleration by all that is known but a disturbance force: one along n makes it 1/m larger a newton
+    turning = ca.cross(dw_B, p_CE) + ca.cross(base.w_B, ca.cross(base.w_B, p_CE))
+    a_known_W = (f_rotors_W + f_tip_W) / robot.mass - ca.DM([0, 0, robot.gravity]) + ca.mtimes(R_WB, turning)
+    balance = -robot.mass * ca.dot(n, a_known_W)
     along = ca.dot(n, f_next)
     f_normal_next = ca.if_else(
         contact_next, f_normal_dist + first_order_gain(L_normal, period) * (balance - f_normal_dist), along

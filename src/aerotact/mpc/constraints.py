@@ -16,6 +16,7 @@ import numpy as np
 
 from aerotact.dynamics import so3
 from aerotact.dynamics.model import Model
+from aerotact.dynamics.reduced import Reduced
 from aerotact.exceptions import ProblemError
 from aerotact.mpc.problem import RowEntry
 from aerotact.ports import Array, Layout
@@ -72,7 +73,14 @@ class Rows:
 
 NO_ROWS = Rows(lambda _x, _stage: None, *(np.zeros(0),) * 4, terminal=0.0)
 
-BOUNDS: dict[str, tuple[str, ...]] = {"thrust": (), "thrust_rate": (), "tilt": ("tilt",), "tilt_rate": ("tilt",)}
+BOUNDS: dict[str, tuple[str, ...]] = {
+    "thrust": (),
+    "thrust_rate": ("rigid_body",),
+    "tilt": ("tilt",),
+    "tilt_rate": ("tilt",),
+    "torque": ("quasi_static",),
+    "servo_rate": ("quasi_static",),
+}
 """Bound -> capabilities that it needs."""
 
 
@@ -85,7 +93,8 @@ class Row:
         limits: keys that its entry must have besides `soft`.
         uses: kinds of stage parameters that it reads, as those of residuals.
         build: (model, x, stage parameters by name) -> values.
-        sides: entry -> lower and upper limits.
+        sides: (model, entry) -> lower and upper limits.
+        size: numbers a side, given the model.
     """
 
     name: str
@@ -94,7 +103,8 @@ class Row:
     limits: tuple[str, ...]
     uses: tuple[str, ...]
     build: Callable[[Model, Any, dict[str, Any]], Any]
-    sides: Callable[[RowEntry], tuple[list[float], list[float]]]
+    sides: Callable[[Model, RowEntry], tuple[list[float], list[float]]]
+    size: Callable[[Model], int] = lambda _: 1
 
 
 def _upright(model: Model, x: Any, p: dict[str, Any]) -> Any:
@@ -107,7 +117,39 @@ def _approach_speed(model: Model, x: Any, p: dict[str, Any]) -> Any:
     return v_n + p["approach_speed"] + p["approach_slope"] * distance
 
 
-def _cone(entry: RowEntry) -> tuple[list[float], list[float]]:
+def _reduced(model: Model) -> Reduced:
+    assert isinstance(model, Reduced)
+    return model
+
+
+def _joint_torque(model: Model, x: Any, p: dict[str, Any]) -> Any:
+    return _reduced(model).joint_torque(x, p["n_W"])
+
+
+def _servo(model: Model, x: Any, p: dict[str, Any]) -> Any:
+    return _reduced(model).holding_servo(x, p["n_W"])
+
+
+def _elbow(model: Model, x: Any, p: dict[str, Any]) -> Any:
+    return model.state.split(x)["joint"][_reduced(model).elbows]
+
+
+def _each(model: Model, limits: list[float] | None) -> list[float]:
+    """One number an arm, where one is given for all."""
+    given = limits or []
+    return given * len(_reduced(model).elbows) if len(given) == 1 else given
+
+
+def _listed(limits: tuple[Array, Array]) -> tuple[list[float], list[float]]:
+    return limits[0].tolist(), limits[1].tolist()
+
+
+def _symmetric(size: int, entry: RowEntry) -> tuple[list[float], list[float]]:
+    largest = entry.max or 0.0
+    return [-largest] * size, [largest] * size
+
+
+def _cone(model: Model, entry: RowEntry) -> tuple[list[float], list[float]]:
     return [math.cos(entry.max or 0.0)], [math.inf]
 
 
@@ -122,7 +164,7 @@ ROWS = {
             (),
             ("contact",),
             _approach_speed,
-            lambda _: ([0.0], [math.inf]),
+            lambda _, entry: ([0.0], [math.inf]),
         ),
         Row(
             "workspace",
@@ -131,7 +173,58 @@ ROWS = {
             ("lower", "upper"),
             (),
             lambda model, x, _: model.tool_pose(x)[0],
-            lambda entry: (entry.lower or [], entry.upper or []),
+            lambda _, entry: (entry.lower or [], entry.upper or []),
+            lambda _: 3,
+        ),
+        Row(
+            "joint",
+            "joint angles of the working arms within their ranges",
+            ("quasi_static",),
+            (),
+            (),
+            lambda model, x, _: model.state.split(x)["joint"],
+            lambda model, _: _listed(_reduced(model).joint_limits),
+            lambda model: _reduced(model).joints,
+        ),
+        Row(
+            "servo",
+            "servo angles of the working arms within their ranges",
+            ("quasi_static",),
+            (),
+            (),
+            _servo,
+            lambda model, _: _listed(_reduced(model).servo_limits),
+            lambda model: _reduced(model).joints,
+        ),
+        Row(
+            "joint_torque",
+            "torques of the working arms' springs, N m",
+            ("quasi_static",),
+            ("max",),
+            (),
+            _joint_torque,
+            lambda model, entry: _symmetric(_reduced(model).joints, entry),
+            lambda model: _reduced(model).joints,
+        ),
+        Row(
+            "elbow",
+            "angles of the working arms' last joints, rad, away from straight",
+            ("quasi_static",),
+            ("lower", "upper"),
+            (),
+            _elbow,
+            lambda model, entry: (_each(model, entry.lower), _each(model, entry.upper)),
+            lambda model: len(_reduced(model).elbows),
+        ),
+        Row(
+            "swing",
+            "angles of the passive joints, rad",
+            ("quasi_static", "passive_joint"),
+            ("max",),
+            (),
+            lambda model, x, _: model.state.split(x)["passive"],
+            lambda model, entry: _symmetric(_reduced(model).passive, entry),
+            lambda model: _reduced(model).passive,
         ),
     )
 }
@@ -157,7 +250,7 @@ def make_rows(
     chosen = [(ROWS[name], RowEntry() if entry == "hard" else entry) for name, entry in entries.items() if name in ROWS]
     if not chosen:
         return NO_ROWS
-    sides = [_sides(path, row, entry) for row, entry in chosen]
+    sides = [_sides(path, model, row, entry) for row, entry in chosen]
     penalties = [entry.penalty for _, entry in chosen]
     counts = [len(lower) for lower, _ in sides]
 
@@ -175,14 +268,13 @@ def make_rows(
     )
 
 
-def _sides(path: Path, row: Row, entry: RowEntry) -> tuple[list[float], list[float]]:
+def _sides(path: Path, model: Model, row: Row, entry: RowEntry) -> tuple[list[float], list[float]]:
     key = f"constraints.{row.name}"
     for name in ("max", "lower", "upper"):
         if (getattr(entry, name) is not None) != (name in row.limits):
             given = "is no limit of this constraint" if name not in row.limits else "is missing"
             raise ProblemError(path, f"{key}.{name}", given, f"valid: soft, {', '.join(row.limits)}".rstrip(", "))
-    lower, upper = row.sides(entry)
-    size = 3 if row.name == "workspace" else 1
+    (lower, upper), size = row.sides(model, entry), row.size(model)
     if len(lower) != size or len(upper) != size or not all(a < b for a, b in zip(lower, upper, strict=True)):
         raise ProblemError(path, key, f"has limits {lower} to {upper}", f"give {size} numbers a side, lower < upper")
     return lower, upper
@@ -190,6 +282,8 @@ def _sides(path: Path, row: Row, entry: RowEntry) -> tuple[list[float], list[flo
 
 def make_bounds(model: Model, names: list[str]) -> Bounds:
     """Bounds of the named constraints (each a key of BOUNDS)."""
+    if isinstance(model, Reduced):
+        return _control_bounds(model, names)
     known = {"thrust": (model.thrust_limits, model.thrust_rate_limits)}
     if model.tilts:
         known["tilt"] = (model.tilt_limits, model.tilt_rate_limits)
@@ -207,3 +301,18 @@ def make_bounds(model: Model, names: list[str]) -> Bounds:
     start = model.state.size - model.actuators.size
     states = tuple(range(start, model.state.size))
     return Bounds(states, lower, upper, u_lower, u_upper, model.actuator_time_constants)
+
+
+def _control_bounds(model: Reduced, names: list[str]) -> Bounds:
+    """Bounds of a predictor whose states no actuator integrates."""
+    lower, upper = np.full(model.control.size, -np.inf), np.full(model.control.size, np.inf)
+    rates = model.servo_rate_limits
+    torques = model.hover_torque - model.torque_limits, model.hover_torque + model.torque_limits
+    for name, port, limits in (
+        ("thrust", "thrust", model.thrust_limits),
+        ("torque", "torque", torques),
+        ("servo_rate", "joint_rate", rates),
+    ):
+        if name in names:
+            lower[model.control.slice(port)], upper[model.control.slice(port)] = limits
+    return Bounds((), np.zeros(0), np.zeros(0), lower, upper)

@@ -7,7 +7,8 @@ Three modes follow from the force wanted, the surface seen and the contact felt:
     push      a force is wanted and the tip is in contact: along the normal the force is controlled, not the position
 
 The force wanted begins at `preload` when contact is made and follows the reference within `force_rate`, so that a ramp
-that has begun before contact does no harm.
+that has begun before contact does no harm. It never exceeds `preload` and LEAD times what is felt: a tip that has
+bounced off shall not be thrown back.
 """
 
 from dataclasses import dataclass
@@ -17,16 +18,21 @@ import casadi as ca
 
 from aerotact.dynamics import so3
 from aerotact.dynamics.contact import SMOOTH_GAP, tangential
+from aerotact.estimation.wrench_observer import first_order_gain
 from aerotact.laws.bodie2021.confidence import Span, nearness
 from aerotact.ports import BlockBuilder, Port
 
 FORCE_WANTED = 0.05  # N; a smaller reference is none
 FAR = 10.0  # m before the tip, where a surface is put that is not seen
+SLIDING = 0.02  # m/s; where less is wanted, the friction felt goes on rather than that of sliding
+LOADED = 0.5  # N; below, the friction felt says little
+LEAD = 2.0  # of the force wanted before the force felt
+FELT_RATE = 30.0  # rad/s, at which the friction felt is followed
 
 CONTACT_PORTS = (
     Port("n_W", 3, "1", "W"),
     Port("offset", 1, "m"),
-    Port("friction", 1, "1"),
+    Port("friction_W", 3, "1", "W"),
     Port("stiffness", 1, "N/m"),
     Port("damping", 1, "N s/m"),
     Port("rigid", 1, "1"),
@@ -55,12 +61,15 @@ class ContactTargets:
     telemetry: list[tuple[Port, Any]]
 
 
-def add_contact(b: BlockBuilder, pose: tuple[Any, Any], times: list[float], rate: float) -> ContactTargets:
+def add_contact(
+    b: BlockBuilder, pose: tuple[Any, Any], v_WE_d: list[Any], times: list[float], rate: float
+) -> ContactTargets:
     """Declare ports, parameters and memory of the contact, and compute its targets.
 
     Args:
         b: of the block of targets.
         pose: measured pose of the tool, p_WE m and q_WE.
+        v_WE_d: velocity of the tool that is wanted at each node, m/s.
         times: nodes, s.
         rate: Hz.
     """
@@ -77,6 +86,7 @@ def add_contact(b: BlockBuilder, pose: tuple[Any, Any], times: list[float], rate
     damping = b.parameter("damping", 1, "N s/m", 150.0, doc="of the compliant contact predictor", lower=0.0)
     slow = b.parameter("approach_speed", 1, "m/s", 0.004, doc="speed of approach at the surface", lower=0.0)
     slope = b.parameter("approach_slope", 1, "1/s", 1.0, doc="growth of that speed with the distance", lower=0.0)
+    margin = b.parameter("approach_margin", 1, "m/s", 0.004, doc="by which the limit exceeds that speed", lower=0.0)
     fast = b.parameter("approach_limit", 1, "m/s", 0.08, doc="highest speed of approach", lower=0.0)
     reach = b.parameter("reach", 1, "m", 0.2, doc="distance within which a force is striven for", lower=0.0)
     force_rate = b.parameter("force_rate", 1, "N/s", 200.0, doc="highest rate of the force wanted", lower=0.0)
@@ -108,19 +118,44 @@ def add_contact(b: BlockBuilder, pose: tuple[Any, Any], times: list[float], rate
     aim = b.state("f_push", 1, "N", doc="force wanted now")
     step = force_rate / rate
     start = ca.fmin(preload, f_ref[0])
-    now = ca.if_else(pushing, aim, start)
+    most = preload + LEAD * ca.fmax(normal, 0)
+    now = ca.if_else(pushing, ca.fmin(aim, most), start)
     b.update("f_push", now + ca.fmin(ca.fmax(f_ref[0] - now, -step), step))
     speed = ca.fmin(fast, slow + slope * ca.fmax(gap, 0))
+
+    ratio = tangential(n, f_tip_W) / ca.fmax(normal, LOADED)
+    felt_W = b.state("friction_W", 3, "1", frame="W", doc="friction felt for each newton of normal force")
+    felt_W = touching * (felt_W + first_order_gain(FELT_RATE, 1 / rate) * (ratio - felt_W))
+    b.update("friction_W", felt_W)
+    felt_W = felt_W * ca.fmin(1, friction / ca.sqrt(ca.sumsqr(felt_W) + 1e-12))
 
     near = ca.if_else(known, nearness(distance, span), 0)
     columns, forces = [], []
     for k, time in enumerate(times):
         reachable = force_rate * time
-        f_push = wanted * (now + ca.fmin(ca.fmax(f_ref[k] - now, -reachable), reachable))
+        f_push = wanted * ca.fmin(now + ca.fmin(ca.fmax(f_ref[k] - now, -reachable), reachable), most)
+        sliding = tangential(n, v_WE_d[k])
+        pace = ca.sqrt(ca.sumsqr(sliding) + 1e-12)
+        moving = pace / ca.sqrt(pace**2 + SLIDING**2)
+        friction_W = felt_W + moving * (-friction * sliding / pace - felt_W)
         columns.append(
-            [n, offset, friction, stiffness, damping, pushing, f_push, wanted, approaching, speed, near, slow, slope]
+            [
+                n,
+                offset,
+                friction_W,
+                stiffness,
+                damping,
+                pushing,
+                f_push,
+                wanted,
+                approaching,
+                speed,
+                near,
+                slow + margin,
+                slope,
+            ]
         )
-        forces.append(touching * (ca.if_else(wanted, f_push, ca.fmax(normal, 0)) * n + tangential(n, f_tip_W)))
+        forces.append(touching * ca.if_else(wanted, f_push, ca.fmax(normal, 0)) * (n + friction_W))
     telemetry = [
         (Port("f_push", 1, "N", doc="force wanted now"), columns[0][6]),
         (Port("pushing", 1, "1", doc="1 while force is controlled", kind="flag"), pushing),

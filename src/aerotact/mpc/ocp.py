@@ -1,6 +1,7 @@
 """Ocp: an ocp file and a model, transcribed, with what surrounds the solve: targets and the fallback law."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -8,18 +9,22 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from aerotact.dynamics.actuators import actuator_limiter, held_command_gain
+from aerotact.dynamics.actuators import actuator_limiter, held_command_gain, reference_limiter
 from aerotact.dynamics.model import CAPABILITIES, Model
+from aerotact.dynamics.reduced import Reduced, predictor_of
 from aerotact.exceptions import InputError, MissingCapability, ProblemError, UnknownName
 from aerotact.laws import laws
+from aerotact.mpc import prediction
+from aerotact.mpc.arm_residuals import ARM_RESIDUALS
 from aerotact.mpc.constraints import BOUNDS, CONSTRAINTS, ROWS, make_bounds, make_rows
-from aerotact.mpc.prediction import derivative
 from aerotact.mpc.problem import ProblemFile, ResidualEntry, load_problem
-from aerotact.mpc.residuals import RESIDUALS, Residual
+from aerotact.mpc.residuals import RESIDUALS as BODY_RESIDUALS
+from aerotact.mpc.residuals import Residual
 from aerotact.mpc.targets import Targets, make_targets
 from aerotact.mpc.transcription import Statement, Transcription, held_gains, transcribe
-from aerotact.ports import Block, Layout, Port
+from aerotact.ports import Array, Block, Layout, Port
 
+RESIDUALS = BODY_RESIDUALS | ARM_RESIDUALS
 WEIGHT = "weight_"  # names of the parameters that weigh residuals begin so; none may be negative
 
 
@@ -30,7 +35,7 @@ class Ocp(Transcription):
     Attributes:
         path: the ocp file.
         file: its content.
-        model: of the robot.
+        model: that predicts: of the robot, or reduced if it has arms.
         targets: what is computed before a solve.
         fallback: the law that takes over when solves keep failing.
     """
@@ -126,11 +131,13 @@ def load_ocp(name_or_path: str | Path, model: Model, delay: float | None = None)
     for name in file.constraints:
         if name in BOUNDS and file.constraints[name] != "hard":
             raise ProblemError(path, f"constraints.{name}", "is a limit of the actuators", 'it can only be "hard"')
+    whole, model = model, predictor_of(model, file.problem.arms)
     residuals = [RESIDUALS[name] for name in file.residuals]
     needs = [
         *file.problem.needs,
         *(n for r in residuals for n in r.needs),
         *(n for name in file.constraints for n in CONSTRAINTS[name]),
+        *("rigid_body" for r in residuals if r.name in BODY_RESIDUALS and r.uses != ("base",)),
     ]
     unknown = sorted(set(needs) - set(CAPABILITIES))
     if unknown:
@@ -152,19 +159,20 @@ def load_ocp(name_or_path: str | Path, model: Model, delay: float | None = None)
         raise ProblemError(path, "parameters", str(error), "one number, or one a coordinate") from error
     targets = Targets(block, targets.stage, targets.telemetry)
     try:
-        fallback = laws()[file.problem.fallback](model, file.problem.rate)
+        fallback = laws()[file.problem.fallback](whole, file.problem.rate)
     except MissingCapability as error:
         raise MissingCapability(f"problem '{path.stem}', fallback: {error}") from error
-    _check_fallback(path, fallback, targets.block)
+    _check_fallback(path, fallback, targets.block, model)
     transcription = transcribe(_state(path, file, model, targets, residuals))
     own = {f.name: getattr(transcription, f.name) for f in fields(Transcription)}
     return Ocp(**own, path=path, file=file, model=model, targets=targets, fallback=fallback)
 
 
-def _check_fallback(path: Path, fallback: Block, block: Block) -> None:
-    if fallback.limiter is None:
+def _check_fallback(path: Path, fallback: Block, block: Block, model: Model) -> None:
+    first = model.commands.ports[0].name
+    if first not in fallback.output:
         raise ProblemError(
-            path, "problem.fallback", f"'{fallback.name}' commands no thrust", "choose a law whose output is thrust_cmd"
+            path, "problem.fallback", f"'{fallback.name}' gives no {first}", f"choose a law that gives {first}"
         )
     for group in ("measurement", "reference", "parameters"):
         theirs, ours = getattr(fallback, group), getattr(block, group)
@@ -182,8 +190,21 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
     """The problem in symbols."""
     times = np.array(file.problem.nodes)
 
+    first = float(times[1])
+
     def motion(x: Any, rate: Any, stage: Any) -> Any:
-        return derivative(model, x, rate, targets.stage.split(stage))
+        return prediction.derivative(model, x, rate, targets.stage.split(stage))
+
+    def within(start: Any) -> Callable[[Any, Any, Any], Any]:
+        arms = model.arms_at(start) if isinstance(model, Reduced) else None
+        return lambda x, rate, stage: prediction.derivative(model, x, rate, targets.stage.split(stage), arms)
+
+    def command(x: Any, u: Any, stage: Any) -> Any:
+        if not isinstance(model, Reduced):
+            return model.command(x, u)
+        p = targets.stage.split(stage)
+        sent = model.command(x, u, prediction.parameter(p), first / 2)
+        return ca.vertcat(sent[: -model.full.servos], sent[-model.full.servos :] + p["servo_shift"])
 
     def terms(x: Any, u: Any, stage: Any, parameters: Any) -> tuple[Any, Any]:
         return _terms(model, targets, residuals, x, u, stage, parameters)
@@ -201,14 +222,15 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
         stage_size=targets.stage.size,
         parameter_size=targets.block.parameters.size,
         times=times,
-        gains=held_gains(times, held_command_gain(model, float(times[1])).full().ravel()),
+        gains=held_gains(times, _held(model, first)),
         derivative=motion,
+        within=within,
         retract=model.retract,
         local=model.local,
         rest=model.at_rest,
         terms=terms,
         terminal_terms=terminal_terms,
-        command=model.command,
+        command=command,
         bounds=make_bounds(model, list(file.constraints)),
         damping=file.solver.levenberg_marquardt,
         rows=make_rows(path, model, file.constraints, targets.stage, file.problem.terminal),
@@ -231,6 +253,16 @@ def _terms(
     return ca.vertcat(*values), ca.vertcat(*scales)
 
 
+def _held(model: Model, period: float) -> Array:
+    if isinstance(model, Reduced):
+        return model.held_gain(period)
+    return np.ravel(held_command_gain(model, period).full())
+
+
 def limiter_of(ocp: Ocp) -> Block:
     """The limiter that every command passes."""
-    return actuator_limiter(ocp.model, ocp.rate)
+    return (
+        reference_limiter(ocp.model, ocp.rate)
+        if isinstance(ocp.model, Reduced)
+        else actuator_limiter(ocp.model, ocp.rate)
+    )

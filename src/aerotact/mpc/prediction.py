@@ -7,16 +7,22 @@ import casadi as ca
 
 from aerotact.dynamics.contact import Surface, contact_motion
 from aerotact.dynamics.model import Model
+from aerotact.dynamics.reduced import Arms, Reduced
 
 
 def surface(p: dict[str, Any]) -> Surface:
     """The surface that a stage's parameters tell of."""
-    return Surface(p["n_W"], p["offset"], p["friction"], p["stiffness"], p["damping"], p["rigid"])
+    return Surface(p["n_W"], p["offset"], p["friction_W"], p["stiffness"], p["damping"], p["rigid"])
 
 
 def wrench(p: dict[str, Any]) -> Any:
     """The wrench on the robot besides that of a predicted contact, (6,)."""
     return ca.vertcat(p["f_ext_W"], p["tau_ext_B"])
+
+
+def parameter(p: dict[str, Any]) -> Any:
+    """The parameter of a reduced predictor that a stage's parameters tell of, (9,)."""
+    return ca.vertcat(wrench(p), p["n_W"])
 
 
 def accelerations(model: Model, x: Any, p: dict[str, Any]) -> tuple[Any, Any]:
@@ -27,8 +33,10 @@ def accelerations(model: Model, x: Any, p: dict[str, Any]) -> tuple[Any, Any]:
     return moved.a_WB, moved.dw_B
 
 
-def derivative(model: Model, x: Any, u: Any, p: dict[str, Any]) -> Any:
-    """dx/dt for the rates u of the actuators."""
+def derivative(model: Model, x: Any, u: Any, p: dict[str, Any], arms: Arms | None = None) -> Any:
+    """dx/dt for the rates u of the actuators, or the controls u of a reduced predictor with its arms held as given."""
+    if isinstance(model, Reduced):
+        return model.derivative(x, u, parameter(p), arms)
     return model.state_rate(x, u, *accelerations(model, x, p))
 
 

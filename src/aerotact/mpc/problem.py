@@ -30,6 +30,8 @@ class Horizon(_Strict):
         fallback: the law that takes over after `max_failures` failed steps.
         terminal: seconds by which the residuals of the last node count.
         delay: s from a measurement to the command that answers it, a whole number of periods.
+        arms: of a robot that has some, those that are planned, that with the force first; None are all, that of
+            the tool first.
     """
 
     doc: str = "model predictive controller"
@@ -42,6 +44,7 @@ class Horizon(_Strict):
     max_failures: int = Field(default=5, ge=0)
     terminal: float = Field(default=0.1, ge=0)
     delay: float = Field(default=0.0, ge=0, le=0.2)
+    arms: list[str] | None = Field(default=None, min_length=1)
 
     @model_validator(mode="after")
     def _one_grid(self) -> "Horizon":

@@ -23,7 +23,8 @@ from aerotact.mpc.prediction import surface, wrench
 
 @dataclass(frozen=True)
 class Term:
-    """One weighted part of a residual: `size` numbers of the given unit, or as many as model.actuators has under it."""
+    """One weighted part of a residual: `size` numbers of the given unit, or as many as a port of the
+    model, or its attribute, has."""
 
     key: str
     size: int | str
@@ -31,7 +32,11 @@ class Term:
 
     def count(self, model: Model) -> int:
         """Numbers that it has for a model."""
-        return self.size if isinstance(self.size, int) else model.actuators[self.size].size
+        if isinstance(self.size, int):
+            return self.size
+        layouts = (model.actuators, model.state, model.control)
+        found = [layout[self.size].size for layout in layouts if self.size in layout]
+        return found[0] if found else int(getattr(model, self.size))
 
 
 @dataclass(frozen=True)
@@ -54,12 +59,17 @@ class Residual:
     controls: bool = False
 
 
+def tangential_error(p: dict[str, Any], error: Any) -> Any:
+    """An error of position without its part along the surface's normal, while a force is wanted."""
+    if "push" not in p:
+        return error
+    return error - p["push"] * ca.dot(p["n_W"], error) * p["n_W"]
+
+
 def _pose(suffix: str) -> Callable[[Model, Any, Any, dict[str, Any]], tuple[Any, ...]]:
     def build(model: Model, x: Any, u: Any, p: dict[str, Any]) -> tuple[Any, ...]:
         p_WE, q_WE = model.tool_pose(x)
-        error = p_WE - p[f"p_WE_{suffix}"]
-        if "push" in p:
-            error = error - p["push"] * ca.dot(p["n_W"], error) * p["n_W"]
+        error = tangential_error(p, p_WE - p[f"p_WE_{suffix}"])
         return error, so3.local(p[f"q_WE_{suffix}"], q_WE)
 
     return build

@@ -14,8 +14,10 @@ from aerotact.dynamics import so3
 from aerotact.dynamics.contact import tool_wrench
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.motion import base_reference
+from aerotact.dynamics.reduced import Reduced
 from aerotact.dynamics.rotors import least_thrust
 from aerotact.laws.bodie2021.impedance import add_impedance
+from aerotact.mpc.arm_targets import add_arm_targets
 from aerotact.mpc.contact_targets import CONTACT_PORTS, add_contact
 from aerotact.mpc.prediction import ahead
 from aerotact.ports import Array, Block, BlockBuilder, Layout, Port
@@ -36,7 +38,7 @@ class Targets:
 
     Attributes:
         block: outputs `x0`, then `stage` (nodes, stage.size), then telemetry; its last measurement ports are the
-            modelled tilts and thrusts, which the limiter of the controller keeps.
+            modelled actuators, which the limiter of the controller keeps.
         stage: layout of one stage's parameters.
         telemetry: layout of what is passed on for the log.
     """
@@ -157,6 +159,10 @@ def make_targets(
             then, and the base is predicted through the commands that are on their way.
     """
     b = BlockBuilder(name, "aerotact", rate, doc)
+    if isinstance(model, Reduced):
+        for port in weights:
+            b.parameter(port.name, port.size, port.unit, port.default, doc=port.doc, lower=0.0)
+        return _closed(b, *add_arm_targets(b, model, times, rate))
     x = ca.vertcat(
         b.measurement("p_WB", 3, "m", frame="W", doc="position of the base"),
         b.measurement("q_WB", 4, "1", frame="W", doc="attitude of the base", kind="quaternion"),
@@ -197,7 +203,8 @@ def make_targets(
         (Port("v_WE_r", 3, "m/s", "W", "tool velocity aimed at"), target[0].v_WE),
     ]
     if "contact" in uses:
-        contact = add_contact(b, model.tool_pose(ca.vertcat(x, ca.SX.zeros(model.actuators.size))), times, rate)
+        tool = model.tool_pose(ca.vertcat(x, ca.SX.zeros(model.actuators.size)))
+        contact = add_contact(b, tool, [motion.v_WE for motion in target], times, rate)
         ports += CONTACT_PORTS
         telemetry += contact.telemetry
         for k, (column, own, motion) in enumerate(zip(columns, contact.columns, target, strict=True)):
@@ -221,6 +228,13 @@ def make_targets(
         )
     else:
         x0 = ca.vertcat(x, now)
+    return _closed(b, x0, columns, layout, telemetry)
+
+
+def _closed(
+    b: BlockBuilder, x0: Any, columns: list[list[Any]], layout: Layout, telemetry: list[tuple[Port, Any]]
+) -> Targets:
+    """The block with its outputs."""
     b.output("x0", x0, "1")
     b.output("stage", ca.horzcat(*[ca.vertcat(*c) for c in columns]), "1")
     for port, value in telemetry:

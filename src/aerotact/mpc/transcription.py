@@ -33,10 +33,11 @@ class Statement:
         gains: change of an integrated control per unit in each interval, s, shape (N, nu): the interval's length, or
             less where a held command acts through a lag.
         derivative: (x, rate, stage) -> dx/dt, with rate = u * gain / h.
+        within: x at the start of an interval -> derivative within it, where slow parts are held; None holds nothing.
         retract: (x, dx) -> x; local: (x_from, x_to) -> dx; rest: x -> the same pose at rest, where a cold start begins.
         terms: (x, u, stage, parameters) -> residuals and their weights.
         terminal_terms: (x, stage, parameters) -> residuals and their weights, the latter times seconds.
-        command: (x, u) -> what is sent to the robot.
+        command: (x, u, stage) -> what is sent to the robot.
         bounds: of states and controls.
         damping: Levenberg-Marquardt.
         rows: inequalities of the states, from the second node on.
@@ -56,10 +57,11 @@ class Statement:
     rest: Callable[[Any], Any]
     terms: Callable[[Any, Any, Any, Any], tuple[Any, Any]]
     terminal_terms: Callable[[Any, Any, Any], tuple[Any, Any]]
-    command: Callable[[Any, Any], Any]
+    command: Callable[[Any, Any, Any], Any]
     bounds: Bounds
     damping: float
     rows: Rows = NO_ROWS
+    within: Callable[[Any], Callable[[Any, Any, Any], Any]] | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Transcription:
         linearise_terminal: (x, stage, parameters) -> (Q, q), and (C, g).
         step: (x, u, stage, h, gain) -> Phi.
         cost: (x, u, stage, parameters, h) -> cost of one stage; terminal_cost: (x, stage, parameters).
-        retract: (x, dx) -> x; difference: (x_from, x_to) -> dx; rest: x -> x; command: (x, u) -> command.
+        retract: (x, dx) -> x; difference: (x_from, x_to) -> dx; rest: x -> x; command: (x, u, stage) -> command.
     """
 
     statement: Statement
@@ -119,6 +121,7 @@ def transcribe(s: Statement) -> Transcription:
 
     def phi(state: Any, control: Any) -> Any:
         change = control * gain
+        slope_of = s.within(state) if s.within else s.derivative
 
         def moved(share: float, slope: Any) -> Any:
             after = state + share * h * slope
@@ -126,10 +129,10 @@ def transcribe(s: Statement) -> Transcription:
                 after[row] = state[row] + share * change[column]
             return after
 
-        k1 = s.derivative(state, change / h, stage)
-        k2 = s.derivative(moved(0.5, k1), change / h, stage)
-        k3 = s.derivative(moved(0.5, k2), change / h, stage)
-        k4 = s.derivative(moved(1.0, k3), change / h, stage)
+        k1 = slope_of(state, change / h, stage)
+        k2 = slope_of(moved(0.5, k1), change / h, stage)
+        k3 = slope_of(moved(0.5, k2), change / h, stage)
+        k4 = slope_of(moved(1.0, k3), change / h, stage)
         return moved(1.0, (k1 + 2 * (k2 + k3) + k4) / 6)
 
     changes, n = ca.vertcat(dx, du), s.ndx
@@ -159,7 +162,7 @@ def transcribe(s: Statement) -> Transcription:
         retract=ca.Function("retract", [x, dx], [s.retract(x, dx)]),
         difference=ca.Function("difference", [x, x_next], [s.local(x, x_next)]),
         rest=ca.Function("rest", [x], [s.rest(x)]),
-        command=ca.Function("command", [x, u], [s.command(x, u)]),
+        command=ca.Function("command", [x, u, stage], [ca.densify(ca.cse(ca.SX(s.command(x, u, stage))))]),
     )
 
 

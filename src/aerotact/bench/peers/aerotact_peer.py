@@ -126,12 +126,8 @@ def timed_project(problem: Problem, backend: str = "aerotact", precision: str = 
     """The bare solver and the function that times it, by a clock in doubles."""
     project = rti_project(problem.transcription, backend, problem.doc, precision)
     name = project.name
-    context: dict[str, Any] = {
-        "name": name,
-        "NAME": name.upper(),
-        "rti": {"np": problem.transcription.statement.stage_size},
-    }
-    context["real"] = _SCALAR[precision]
+    rti = {"np": problem.transcription.statement.stage_size}
+    context = {"name": name, "NAME": name.upper(), "rti": rti, "real": _SCALAR[precision]}
     source = f"src/{name}_timed.c"
     text = templates().get_template("timed_rti.c.jinja").render(context)
     return replace(project, files={**project.files, source: text}, sources=(*project.sources, source))

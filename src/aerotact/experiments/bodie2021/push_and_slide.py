@@ -26,9 +26,9 @@ from aerotact.ports import Array
 from aerotact.robot import load_robot
 
 RAMP = (8.5, 10.0)  # s, of the force
-SLIDE = (11.0, 24.0)  # s
-LIFT = (24.5, 25.0)  # s, the force goes back to 0
-AWAY, END = 26.5, 27.0  # s
+SLIDE = (14.0, 27.0)  # s; all are in contact when it begins, as in the paper's Fig. 12
+LIFT = (27.5, 28.0)  # s, the force goes back to 0
+AWAY, END = 29.5, 30.0  # s
 BACK = 0.15  # m, of the retreat
 IMPEDANCE_DEPTH = 0.04  # m, of the set-point behind the board where no force is wanted
 YAW = 10.0  # degrees
@@ -116,7 +116,7 @@ class PushAndSlide:
     def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The disturbed machine; in one case the tool is not where it is believed to be."""
         yaw: list[Disturbance] = [ToolYawError(float(np.deg2rad(YAW)))] if case.name == "5N-yaw" else []
-        return [*yaw, *disturbed_machine()]
+        return [*yaw, *disturbed_machine(seed)]
 
     def metrics(self, case: Case, log: Log) -> dict[str, Metric]:
         """RMSE of body and tool in the board's plane, of the force, and the share of time without contact."""

@@ -46,8 +46,8 @@ def contacts(robot: str) -> tuple[tuple[ContactPose, ...], ...]:
 def _controllers() -> dict[str, ControllerSpec]:
     """The MPC is told that the wall gives way, by parameters alone.
 
-    Robot and tile swing against each other at 1.5 to 13 Hz, hardly damped. What the swing does to the force must not pass
-    for a disturbance along the normal, so that one is looked for more slowly than on a rigid wall.
+    Robot and tile swing against each other at 1.5 to 13 Hz, hardly damped. What the swing does to the force must not
+    pass for a disturbance along the normal, so that one is looked for more slowly than on a rigid wall.
     """
     found = controllers("F", mpc={"approach_speed": 0.01, "force_rate": 20.0})
     return found | {"mpc": replace(found["mpc"], estimators={"contact_observer": {"L_normal": 3.0}})}
