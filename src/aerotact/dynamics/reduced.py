@@ -503,8 +503,8 @@ def reduced_of(model: Multibody, arms: list[str] | None = None) -> Reduced:
 
     Raises:
         UnknownName: no such arm.
-        MissingCapability: several passive joints, one that does not carry all arms, or rotors that do not push along z of
-            the base.
+        MissingCapability: several passive joints, one that does not carry all arms, or rotors that do not push along z
+            of the base.
     """
     if arms is None:
         tool = model.robot.file.robot.tool

@@ -7,8 +7,8 @@ Three modes follow from the force wanted, the surface seen and the contact felt:
     push      a force is wanted and the tip is in contact: along the normal the force is controlled, not the position
 
 The force wanted begins at `preload` when contact is made and follows the reference within `force_rate`, so that a ramp
-that has begun before contact does no harm. It never exceeds `preload` and LEAD times what is felt: a tip that has bounced
-off shall not be thrown back.
+that has begun before contact does no harm. It never exceeds `preload` and LEAD times what is felt: a tip that has
+bounced off shall not be thrown back.
 """
 
 from dataclasses import dataclass

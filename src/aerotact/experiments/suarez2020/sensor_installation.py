@@ -1,20 +1,12 @@
 """Sensor installation with the long reach: nine phases, 2 N under a pipe for 5 s (suarez2020 VI-B, Figs. 26-31)."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from aerotact.dynamics.model import Model
-from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, with_arms
+from aerotact.experiments.suarez2020.flight_plan import with_arms
 from aerotact.experiments.suarez2020.mission import ArmTask, Mission, Phase, Vector
-from aerotact.log import Log
-from aerotact.loop import Reference
-from aerotact.metrics import Metric, rmse
-from aerotact.plant.disturbance import Disturbance
-from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
 
 PIPE, RADIUS = np.array([1.5, 0.15, 1.1]), 0.1
@@ -52,7 +44,7 @@ PUSHES = {
     "second": Push(STRETCHED, BELOW),
     "forward": Push(L_POSE, AHEAD),
 }
-_UNTIL = {name: 27.0 for name in PUSHES}
+_UNTIL = dict.fromkeys(PUSHES, 27.0)
 
 
 def installation(model: Model, push: Push) -> Mission:
