@@ -130,6 +130,8 @@ def add_contact(
     felt_W = felt_W * ca.fmin(1, friction / ca.sqrt(ca.sumsqr(felt_W) + 1e-12))
 
     near = ca.if_else(known, nearness(distance, span), 0)
+    # While the tip approaches no contact is predicted: the plan would push harder to keep its speed into the wall.
+    met = ca.logic_not(approaching)
     columns, forces = [], []
     for k, time in enumerate(times):
         reachable = force_rate * time
@@ -143,8 +145,8 @@ def add_contact(
                 n,
                 offset,
                 friction_W,
-                stiffness,
-                damping,
+                met * stiffness,
+                met * damping,
                 pushing,
                 f_push,
                 wanted,

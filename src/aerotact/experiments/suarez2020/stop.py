@@ -8,8 +8,8 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import PID, PLATFORM
-from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, hovering
+from aerotact.experiments.suarez2020.controllers import MPC, PID, PLATFORM
+from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, resting
 from aerotact.experiments.suarez2020.pendulum import settled, swing
 from aerotact.log import Log
 from aerotact.loop import Reference
@@ -18,8 +18,8 @@ from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
 
-START, FLIES, STOP, STANDS, END = 2.0, 3.25, 7.0, 8.0, 14.0  # s
-AHEAD, BACK = 0.8, 1.0  # m/s2; 1 m/s between
+START, FLIES, STOP, STANDS, END = 2.0, 3.25, 7.0, 7.5, 13.0  # s
+AHEAD, BACK = 0.8, 2.0  # m/s2; 1 m/s between
 LEGS = (
     (START, (AHEAD, 0.0, 0.0)),
     (FLIES, (0.0, 0.0, 0.0)),
@@ -34,12 +34,12 @@ class StopFromFlight:
     """Along x, the arms held; speed and acceleration are given beside the position."""
 
     name: str = "suarez2020/stop"
-    doc: str = "a stop from 1 m/s at 1 m/s2 with the long reach: how far the pendulum swings and how long"
+    doc: str = "a stop from 1 m/s at 2 m/s2 with the long reach: how far the pendulum swings and how long"
     robot: str = LONG_REACH
     world: str = "floor"
     seeds: int = 5
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"pid": PID, "law": PLATFORM})
-    cases: tuple[Case, ...] = (Case("stop", "1 m/s to rest in 1 s", END, (STOP, END)),)
+    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"pid": PID, "law": PLATFORM, "mpc": MPC})
+    cases: tuple[Case, ...] = (Case("stop", "1 m/s to rest in 0.5 s", END, (STOP, END)),)
     paper: Mapping[str, PaperNumber] = field(
         default_factory=lambda: {
             "swing_ends": PaperNumber(
@@ -50,7 +50,7 @@ class StopFromFlight:
 
     def reference(self, case: Case, model: Model) -> Reference:
         """Off, along, stop."""
-        return hovering(model, LEGS)
+        return resting(model, LEGS)
 
     def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """None."""

@@ -41,9 +41,9 @@ class ForceGains:
 def add_force_gains(b: BlockBuilder) -> ForceGains:
     """Parameters; the paper gives no values. The zero of the two gains lies on the servo's lag of (17), 50 ms."""
     return ForceGains(
-        force_p=b.parameter("force_p", 1, "1", 0.5, doc="proportional gain of the force error", lower=0.0),
-        force_i=b.parameter("force_i", 1, "1/s", 10.0, doc="integral gain of the force error", lower=0.0),
-        force_speed=b.parameter("force_speed", 1, "m/s", 0.05, doc="fastest correction of the force", lower=0.0),
+        force_p=b.parameter("force_p", 1, "1", 0.25, doc="proportional gain of the force error", lower=0.0),
+        force_i=b.parameter("force_i", 1, "1/s", 5.0, doc="integral gain of the force error", lower=0.0),
+        force_speed=b.parameter("force_speed", 1, "m/s", 0.1, doc="fastest correction of the force", lower=0.0),
         force_rate=b.parameter("force_rate", 1, "N/s", 4.0, doc="of a force that no encoder measures", lower=0.0),
     )
 
