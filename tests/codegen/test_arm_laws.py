@@ -41,7 +41,15 @@ def test_c_equals_casadi(arms: Multibody, name: str, native: Callable[[CProject]
             np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["suarez2020_base", "suarez2020_attitude", "joint_estimator"])
+# The example of a law holds the model of all joints, 16 times over: minutes of compiling.
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("suarez2020_base", marks=pytest.mark.slow),
+        pytest.param("suarez2020_attitude", marks=pytest.mark.slow),
+        "joint_estimator",
+    ],
+)
 def test_example_runs(arms: Multibody, name: str, tmp_path: Path) -> None:
     """The generated example closes the loop with the model of all joints, by make, and returns 0."""
     block_project({**laws(), **estimators()}[name](arms, RATE), arms).write(tmp_path / name)
