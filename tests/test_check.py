@@ -144,7 +144,7 @@ def test_sound_robot_passes(folder: Path) -> None:
     assert [item.name for item in report.items] == list(ITEMS)
     assert {"ryll2019_admittance", "tilt_hex_admittance", "state_estimator", "wrench_observer"} <= set(report.fits)
     assert len(report.fits) + len(report.misfits) == len({*laws(), *estimators(), *problem_files()})
-    assert all(re.search(r"needs (tilt|force_torque|arm)", misfit) for misfit in report.misfits)
+    assert all(re.search(r"needs (tilt|force_torque|arm|passive_joint)", misfit) for misfit in report.misfits)
     # It looks at states where the models could differ: with another seed the largest difference is another.
     details = [next(i.detail for i in check_robot(folder, seed).items if i.name == AGREE) for seed in (0, 1)]
     assert details[0] != details[1]

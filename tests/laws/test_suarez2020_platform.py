@@ -132,6 +132,13 @@ def test_hover_is_an_equilibrium_of_every_law(arms: Multibody) -> None:
     np.testing.assert_allclose(outer["tau_B_r"], tau, atol=1e-9)
 
 
+def test_hover_of_a_robot_with_more_axes_pushes_nowhere(models: dict[str, Model]) -> None:
+    """Lift and torque leave its sideways force open: it is that of hover, none."""
+    for name in ("tilt_hex", "octorotor"):
+        thrust = Runner(laws()["suarez2020_attitude"](models[name], RATE))({})["thrust_cmd"]
+        np.testing.assert_allclose(thrust, models[name].robot.hover_thrust, atol=1e-9)
+
+
 def test_attitude_law_turns_a_rigid_robot_that_has_more_axes(hexarotor: Model) -> None:
     run = Runner(laws()["suarez2020_attitude"](hexarotor, RATE))
     leaning = Rotation.from_euler("x", 0.1).as_quat(scalar_first=True)

@@ -112,7 +112,8 @@ def make_example(
     if limited:
         goal = at_hover[judged]
     else:
-        goal = np.zeros(3) if _JUDGED.get(estimate) == "N" else at_hover.get(estimate, at_hover[judged])
+        # Nothing is judged of a block whose outputs are none of these, but that every step is OK.
+        goal = np.zeros(3) if not estimate or _JUDGED[estimate] == "N" else at_hover.get(estimate, at_hover[judged])
     beside = limited and "p_WB" in measurement  # what does not know its place cannot come back to it
     start = x0 + np.concatenate([OFFSET if beside else np.zeros(3), np.zeros(x0.size - 3)])
     header = "\n".join(

@@ -93,24 +93,29 @@ class Pid:
 RATE_LOOP = Pid("K_w", "rad/s", (20.0, 20.0, 6.0), (20.0, 20.0, 6.0), (0.0, 0.0, 0.0), 20.0)
 
 
-def allocation_inverse(model: Model) -> Array:
-    """Matrix (n, 4) from lift, N, and torque, N m in B, to the thrusts of least sum of squares.
-
-    The torque is about the point that `model.rotor_wrench` takes.
-    """
+def lift_allocation(model: Model) -> Array:
+    """Matrix (4, n) from thrusts, N, to lift, N, and torque, N m in B, about the point of `model.rotor_wrench`."""
     thrust = ca.SX.sym("thrust", model.rotors)
     force, torque = model.rotor_wrench(thrust)
-    columns = ca.jacobian(ca.vertcat(force[2], torque), thrust)
-    return np.asarray(np.linalg.pinv(ca.DM(columns).full()))
+    return np.asarray(ca.DM(ca.jacobian(ca.vertcat(force[2], torque), thrust)).full())
+
+
+def allocation_inverse(model: Model) -> Array:
+    """Matrix (n, 4) from lift and torque to the thrusts of least sum of squares."""
+    return np.asarray(np.linalg.pinv(lift_allocation(model)))
 
 
 def thrusts(model: Model, lift: Any, tau_B: Any) -> Any:
-    """Thrusts, N, for lift and torque; where they leave their range the torque about z_B yields first.
+    """Thrusts, N, for lift and torque, nearest to those of hover; the torque about z_B yields where a range is left.
 
-    What still leaves the range is left to the limiter.
+    Of a robot whose rotors push along z_B alone they are those of least sum of squares. What still leaves the range is
+    left to the limiter.
     """
     inverse, (lower, upper) = allocation_inverse(model), (ca.DM(v) for v in model.thrust_limits)
-    level = ca.mtimes(ca.DM(inverse[:, :3]), ca.vertcat(lift, tau_B[0:2]))
+    hover = model.robot.hover_thrust
+    beside = hover - inverse @ (lift_allocation(model) @ hover)  # of hover, what makes neither lift nor torque
+    beside = np.where(np.abs(beside) < 1e-9, 0.0, beside)
+    level = ca.sparsify(ca.DM(beside)) + ca.mtimes(ca.DM(inverse[:, :3]), ca.vertcat(lift, tau_B[0:2]))
     turning = ca.DM(inverse[:, 3]) * tau_B[2]
     room = ca.if_else(turning > 0, upper - level, level - lower)
     share = ca.mmin(ca.vertcat(room / ca.fmax(ca.fabs(turning), 1e-9), 1))
