@@ -139,7 +139,21 @@ def add_contact(
         moving = pace / ca.sqrt(pace**2 + SLIDING**2)
         friction_W = felt_W + moving * (-friction * sliding / pace - felt_W)
         columns.append(
-            [n, offset, friction_W, stiffness, damping, pushing, f_push, wanted, approaching, speed, near, slow + margin, slope]
+            [
+                n,
+                offset,
+                friction_W,
+                stiffness,
+                damping,
+                pushing,
+                f_push,
+                wanted,
+                approaching,
+                speed,
+                near,
+                slow + margin,
+                slope,
+            ]
         )
         forces.append(touching * ca.if_else(wanted, f_push, ca.fmax(normal, 0)) * (n + friction_W))
     telemetry = [
