@@ -49,7 +49,7 @@ class Frozen:
         self.rotors = self.mj.actuator_actadr[[r.index for r in robot.rotors]]
 
     def turn(self, thrust: Array, tau_W: Array | None = None, pushes: dict[int, Array] | None = None) -> Array:
-        """Angular acceleration of the base, rad/s2 in B, under thrusts, a torque on it and forces at sites, all in W."""
+        """Angular acceleration of the base, rad/s2 in B, under thrusts, a torque on it and forces at sites, in W."""
         data, mj = self.data, self.mj
         data.act[self.rotors] = thrust
         data.ctrl[[*range(mj.nu)]] = data.act
@@ -183,7 +183,7 @@ def test_pid_against_closed_forms() -> None:
     for k in range(500):
         ramp = run({"error": [0.0, 0.1 * k / RATE, 0.0]})["answer"][1]
     integral = sum(0.5 * 0.1 * k / RATE**2 for k in range(499))
-    # The low-pass lags by its own discrete delay: K_d cutoff (e - e_low) -> K_d slope cutoff/(1/(1-exp(-cutoff h)) h^-1)
+    # On a ramp the low-pass lags by h/(1 - exp(-cutoff h)).
     lag = 1 / RATE / (1 - np.exp(-40.0 / RATE))
     assert ramp == pytest.approx(2.0 * 0.1 * 499 / RATE + integral + 0.3 * 40.0 * 0.1 * lag, rel=1e-9)
 
@@ -199,9 +199,9 @@ def test_what_the_position_law_asks_for(arms: Multibody) -> None:
 
     still, weight = z_axis({}, {"p_WB_r": p})
     np.testing.assert_allclose(still, [0, 0, 1], atol=1e-12)
-    ahead, _ = z_axis({}, {"p_WB_r": p + [0.1, 0, 0]})
+    ahead, _ = z_axis({}, {"p_WB_r": p + np.array([0.1, 0, 0])})
     assert ahead[0] > 0.01
-    far, _ = z_axis({}, {"p_WB_r": p + [50.0, -50.0, 0]})
+    far, _ = z_axis({}, {"p_WB_r": p + np.array([50.0, -50.0, 0])})
     assert np.arccos(far[2]) == pytest.approx(min(0.45, np.arctan(_limit(law) / arms.robot.gravity)), abs=1e-3)
     pulled, lift = z_axis({}, {"p_WB_r": p, "f_tools_W_r": np.array([-2.0, 0, -1.0, 0, 0, -1.0])})
     np.testing.assert_allclose(pulled, np.array([2.0, 0, weight + 2.0]) / np.hypot(2.0, weight + 2.0), atol=1e-9)
