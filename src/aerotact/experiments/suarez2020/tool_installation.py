@@ -198,9 +198,7 @@ class ToolInstallation:
             "last_phase": Metric(float(phase[-1]), "1"),
             "off_pipe": Metric(installed, "m"),
             "off_bench": Metric(returned, "m"),
-            "tilt_of_tool": Metric(
-                float(_tilt(log["objects_W"][carrying, 3:7]).max()) if carrying.any() else None, "rad"
-            ),
+            "tilt_of_tool": Metric(tilted, "rad"),
             "base_error": Metric(rmse(error), "m"),
             "mission_time": Metric(float(log.time[np.argmax(phase == 12)]) if over.any() else None, "s"),
         }
