@@ -24,9 +24,19 @@ MODELS = Path(__file__).parents[2] / "models"
 LOCK = 1e9  # kg m2, on the joints of arms that are to stand still
 
 
-@pytest.fixture(scope="module", params=["dual_arm_standard", "dual_arm_long_reach"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        ("dual_arm_standard", ["left"]),
+        ("dual_arm_standard", None),
+        ("dual_arm_long_reach", ["left"]),
+        ("dual_arm_long_reach", None),
+    ],
+    ids=lambda p: f"{p[0]}-{'left' if p[1] else 'both'}",
+)
 def reduced(request: pytest.FixtureRequest) -> Reduced:
-    model = predictor_of(model_of(load_robot(MODELS / request.param)))
+    name, arms = request.param
+    model = predictor_of(model_of(load_robot(MODELS / name)), arms)
     assert isinstance(model, Reduced)
     return model
 

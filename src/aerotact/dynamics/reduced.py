@@ -499,24 +499,20 @@ def reduced_of(model: Multibody, arms: list[str] | None = None) -> Reduced:
 
     Args:
         model: the whole robot.
-        arms: names of the working arms, that with the force first; None is the arm of `robot.tool`.
+        arms: names of the working arms, that with the force first; None are all, the arm of `robot.tool` first.
 
     Raises:
         UnknownName: no such arm.
-        MissingCapability: the tool is no arm's, or the rotors do not push along z of the base.
+        MissingCapability: several passive joints, one that does not carry all arms, or rotors that do not push along z
+            of the base.
     """
     if arms is None:
         tool = model.robot.file.robot.tool
-        arms = [arm.name for arm in model.robot.arms if arm.tool == tool]
+        arms = [arm.name for arm in sorted(model.robot.arms, key=lambda arm: arm.tool != tool)]
     known = [arm.name for arm in model.robot.arms]
     for name in arms:
         if name not in known:
             raise UnknownName("arm", name, known, f"robot '{model.robot.name}'")
-    if not arms:
-        raise MissingCapability(
-            f"prediction of robot '{model.robot.name}' ({model.robot.folder}): no arm ends in robot.tool; "
-            f"valid: the tool of one of the arms {', '.join(known) or '(there are none)'}"
-        )
     carried = [
         joint.index in joints_between(model.robot.mjmodel, int(model.robot.mjmodel.jnt_bodyid[arm.joints[0].index]), 0)
         for joint in model.robot.passive

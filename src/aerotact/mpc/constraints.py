@@ -134,6 +134,12 @@ def _elbow(model: Model, x: Any, p: dict[str, Any]) -> Any:
     return model.state.split(x)["joint"][_reduced(model).elbows]
 
 
+def _each(model: Model, limits: list[float] | None) -> list[float]:
+    """One number an arm, where one is given for all."""
+    given = limits or []
+    return given * len(_reduced(model).elbows) if len(given) == 1 else given
+
+
 def _listed(limits: tuple[Array, Array]) -> tuple[list[float], list[float]]:
     return limits[0].tolist(), limits[1].tolist()
 
@@ -207,13 +213,13 @@ ROWS = {
             ("lower", "upper"),
             (),
             _elbow,
-            lambda _, entry: (entry.lower or [], entry.upper or []),
+            lambda model, entry: (_each(model, entry.lower), _each(model, entry.upper)),
             lambda model: len(_reduced(model).elbows),
         ),
         Row(
             "swing",
-            "angles of the passive joints, rad",
-            ("quasi_static", "passive_joint"),
+            "angles of the passive joints, if there are any, rad",
+            ("quasi_static",),
             ("max",),
             (),
             lambda model, x, _: model.state.split(x)["passive"],
@@ -241,7 +247,11 @@ def make_rows(
     Raises:
         ProblemError: an entry lacks a limit, has one that is not its own, or limits that leave no room.
     """
-    chosen = [(ROWS[name], RowEntry() if entry == "hard" else entry) for name, entry in entries.items() if name in ROWS]
+    chosen = [
+        (ROWS[name], RowEntry() if entry == "hard" else entry)
+        for name, entry in entries.items()
+        if name in ROWS and ROWS[name].size(model)
+    ]
     if not chosen:
         return NO_ROWS
     sides = [_sides(path, model, row, entry) for row, entry in chosen]

@@ -30,7 +30,8 @@ class Horizon(_Strict):
         fallback: the law that takes over after `max_failures` failed steps.
         terminal: seconds by which the residuals of the last node count.
         delay: s from a measurement to the command that answers it, a whole number of periods.
-        arms: of a robot that has some, those that are planned, that with the force first; None is that of the tool.
+        arms: of a robot that has some, those that are planned, that with the force first; None are all, that of
+            the tool first.
     """
 
     doc: str = "model predictive controller"
