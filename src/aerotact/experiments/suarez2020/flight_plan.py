@@ -4,11 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.multibody import Multibody
 from aerotact.exceptions import MissingCapability
+from aerotact.experiments.reference import Together
+from aerotact.laws.suarez2020.flying_arms import suarez2020_tools
 from aerotact.ports import Array
 
 STANDARD, LONG_REACH = "dual_arm_standard", "dual_arm_long_reach"
@@ -66,3 +69,35 @@ def hovering(model: Model, legs: Sequence[tuple[float, tuple[float, float, float
     """The hover keyframe, or flight from there."""
     arms = with_arms(model)
     return Platform(arms.hover_state[:3], arms.hover_servo, len(arms.robot.arms), legs)
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """Both tools where they hover, as points in W from `start` on; until then, as places beside the shoulders.
+
+    Serves the references of suarez2020_tools.
+
+    Attributes:
+        model: whose tools.
+        start: s.
+    """
+
+    model: Multibody
+    start: float
+
+    def sample(self, times: Array) -> dict[str, Array]:
+        """References of the arms, one row a time."""
+        n = len(times)
+        rest = suarez2020_tools(self.model, 50.0).reference
+        values = {port.name: np.tile(port.default, (n, 1)) for port in rest}
+        x, on = ca.DM(self.model.hover_state), (times >= self.start - 1e-9).astype(float)[:, None]
+        for arm in self.model.robot.arms:
+            p_WE, _ = self.model.arm_tool_pose(x, arm.name)
+            values[f"p_{arm.name}_d"] = np.tile(ca.DM(p_WE).full().ravel(), (n, 1))
+            values[f"in_W_{arm.name}"] = on
+        return values
+
+
+def resting(model: Model, legs: Sequence[tuple[float, tuple[float, float, float]]] = ()) -> Together:
+    """`hovering`, for controllers that plan the arms too: these stay in their places beside the shoulders."""
+    return Together((hovering(model, legs), Grasp(with_arms(model), np.inf)))
