@@ -16,6 +16,7 @@ from aerotact.exceptions import MissingCapability
 from aerotact.laws import laws
 from aerotact.laws.suarez2020.attitude import Pid, allocation_inverse, thrusts
 from aerotact.laws.suarez2020.base import attitude_along, reaction, swing_directions
+from aerotact.laws.suarez2020.swing_regulator import pitch_plane, regulator
 from aerotact.ports import Array, BlockBuilder
 from aerotact.robot import load_robot
 
@@ -218,3 +219,25 @@ def _limit(law: object) -> float:
     """Acceleration that the position's error asks for at most: K_v v_max."""
     values = law.parameters.unpack(law.parameters.default)  # type: ignore[attr-defined]
     return float(values["K_v"][0] * values["v_max"][0])
+
+
+def test_regulator_knows_the_pitch_plane() -> None:
+    """Its linear model against MuJoCo, and a closed loop without a slow or unstable pole."""
+    model = model_of(load_robot(MODELS / "dual_arm_long_reach"))
+    assert isinstance(model, Multibody)
+    A, B = pitch_plane(model)
+    inverse, weight, small = allocation_inverse(model), model.robot.mass * model.robot.gravity, 1e-5
+
+    def accelerate(pitch: float, swing: float, torque: float) -> Array:
+        joint = np.array(model.hover_joint)
+        joint[0] += swing
+        frozen = Frozen(model, joint, np.array([np.cos(pitch / 2), 0.0, np.sin(pitch / 2), 0.0]))
+        frozen.turn(inverse @ [weight, 0.0, torque, 0.0])
+        return frozen.data.qacc[[0, 4, 6]].copy()
+
+    for column, motion in ((A[3:, 1], (1, 0, 0)), (A[3:, 2], (0, 1, 0)), (B[3:], (0, 0, 1))):
+        ends = [accelerate(*(side * small * np.array(motion))) for side in (1, -1)]
+        np.testing.assert_allclose((ends[0] - ends[1]) / (2 * small), column, rtol=1e-5, atol=1e-5)
+    assert np.linalg.eigvals(A).real.max() > -0.01  # nothing stops the base, hardly anything the swing
+    _, closed = regulator(model)
+    assert np.linalg.eigvals(closed).real.max() < -0.2

@@ -24,6 +24,9 @@ ATTITUDE_HOLD = ControllerSpec(
     "attitude and height held only",
     {"K_swing": 0.0, "K_p": [0.0, 0.0, 2.0], "K_v": [0.0, 0.0, 4.0], "K_vi": [0.0, 0.0, 1.5]},
 )
+LQR = ControllerSpec(
+    "suarez2020_swing_regulator", RATE, "a linear-quadratic regulator of pitch, forward motion and swing"
+)
 MPC = ControllerSpec(
     "dual_arm_tools",
     None,

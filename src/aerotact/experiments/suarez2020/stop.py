@@ -8,7 +8,7 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import MPC, PID, PLATFORM
+from aerotact.experiments.suarez2020.controllers import LQR, MPC, PID, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, resting
 from aerotact.experiments.suarez2020.pendulum import settled, swing
 from aerotact.log import Log
@@ -38,7 +38,9 @@ class StopFromFlight:
     robot: str = LONG_REACH
     world: str = "floor"
     seeds: int = 5
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"pid": PID, "law": PLATFORM, "mpc": MPC})
+    controllers: Mapping[str, ControllerSpec] = field(
+        default_factory=lambda: {"pid": PID, "law": PLATFORM, "lqr": LQR, "mpc": MPC}
+    )
     cases: tuple[Case, ...] = (Case("stop", "1 m/s to rest in 0.5 s", END, (STOP, END)),)
     paper: Mapping[str, PaperNumber] = field(
         default_factory=lambda: {

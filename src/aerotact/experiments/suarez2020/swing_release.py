@@ -8,7 +8,7 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import ATTITUDE_HOLD, MPC, PID, PLATFORM
+from aerotact.experiments.suarez2020.controllers import ATTITUDE_HOLD, LQR, MPC, PID, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, resting, with_arms
 from aerotact.experiments.suarez2020.pendulum import settled, swing
 from aerotact.log import Log
@@ -33,7 +33,7 @@ class SwingRelease:
     world: str = "floor"
     seeds: int = 5
     controllers: Mapping[str, ControllerSpec] = field(
-        default_factory=lambda: {"attitude-hold": ATTITUDE_HOLD, "pid": PID, "law": PLATFORM, "mpc": MPC}
+        default_factory=lambda: {"attitude-hold": ATTITUDE_HOLD, "pid": PID, "law": PLATFORM, "lqr": LQR, "mpc": MPC}
     )
     cases: tuple[Case, ...] = (
         Case("backward", "let go 10 degrees behind", END, (0.0, END)),

@@ -117,8 +117,10 @@ def thrusts(model: Model, lift: Any, tau_B: Any) -> Any:
     return level + ca.fmax(share, 0) * turning
 
 
-def add_attitude_loops(b: BlockBuilder, model: Model, rate: float, q_WB: Any, w_B: Any, r: AttitudeReference) -> None:
-    """Parameters, states and the output `thrust_cmd` of the attitude and rate loops."""
+def add_attitude_loops(
+    b: BlockBuilder, model: Model, rate: float, q_WB: Any, w_B: Any, r: AttitudeReference, tau_y: Any = None
+) -> None:
+    """Parameters, states and the output `thrust_cmd` of the attitude and rate loops; `tau_y`, if given, takes over."""
     K_q = b.parameter("K_q", 3, "1/s", (7.0, 7.0, 2.5), frame="B", doc="gain of the attitude's error", lower=0.0)
     fastest = b.parameter("w_max", 1, "rad/s", 3.0, doc="fastest rate that the attitude's error asks for", lower=0.0)
     cutoff = b.parameter("w_cutoff", 1, "rad/s", 120.0, doc="low-pass of the derivative of the rate's error", lower=0.0)
@@ -126,7 +128,10 @@ def add_attitude_loops(b: BlockBuilder, model: Model, rate: float, q_WB: Any, w_
     w_c = ca.mtimes(R_BBr, r.w_B) + limited(K_q * so3.local(q_WB, r.q_WB), fastest)
     dw_c = RATE_LOOP.add(b, rate, w_c - w_B, "B", cutoff)
     J = ca.sparsify(ca.DM(np.where(np.abs(model.turning_inertia) < 1e-12, 0.0, model.turning_inertia)))
-    thrust = thrusts(model, r.lift, ca.mtimes(J, dw_c) + r.tau_B)
+    tau_B = ca.mtimes(J, dw_c) + r.tau_B
+    if tau_y is not None:
+        tau_B[1] = tau_y
+    thrust = thrusts(model, r.lift, tau_B)
     b.output("thrust_cmd", thrust, "N", doc="thrust commands", default=numbers(model.robot.hover_thrust))
 
 

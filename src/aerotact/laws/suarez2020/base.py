@@ -83,8 +83,15 @@ def attitude_along(force_W: Any, yaw: Any) -> Any:
     return so3.product(tilt, ca.vertcat(ca.cos(yaw / 2), 0, 0, ca.sin(yaw / 2)))
 
 
-def add_position_loops(b: BlockBuilder, model: Multibody, rate: float, base: BaseMotion) -> AttitudeReference:
-    """Ports, states and equations of the position and velocity loops."""
+def add_position_loops(
+    b: BlockBuilder, model: Multibody, rate: float, base: BaseMotion
+) -> tuple[AttitudeReference, Any]:
+    """Ports, states and equations of the position and velocity loops.
+
+    Returns:
+        What they ask of the inner loops; and joint angles, joint rates (None without a passive joint), p_r, v_r, a_r,
+        yaw_r as they enter.
+    """
     robot, at, arms = model.robot, hover_poses(model), len(model.robot.arms)
     joint = b.measurement("joint", model.joints, "rad", doc="joint angles", default=tuple(model.hover_joint))
     p_r = b.reference("p_WB_r", 3, "m", frame="W", doc="position of the base", default=at["p_WB"])
@@ -102,6 +109,7 @@ def add_position_loops(b: BlockBuilder, model: Multibody, rate: float, base: Bas
 
     R_WB = so3.rotation(base.q_WB)
     v_c = v_r + limited(K_p * (p_r - base.p_WB), fastest)
+    joint_rate = None
     if model.passive:
         joint_rate = b.measurement("joint_rate", model.joints, "rad/s", doc="rates of the joint angles")
         K_swing = b.parameter("K_swing", model.passive, "m", 0.15, doc="speed of the base per rate of a passive joint")
@@ -116,10 +124,11 @@ def add_position_loops(b: BlockBuilder, model: Multibody, rate: float, base: Bas
     F_W = ca.vertcat(limited(F_W[0:2], up * ca.tan(tilt_max)), up)
     lift = ca.dot(F_W, R_WB[:, 2])
     tau_B = share * reaction(model, joint, lift, ca.mtimes(R_WB.T, f_tools_W))
-    return AttitudeReference(lift, attitude_along(F_W, yaw_r), ca.DM.zeros(3), tau_B)
+    seen = (joint, joint_rate, p_r, v_r, a_r, yaw_r)
+    return AttitudeReference(lift, attitude_along(F_W, yaw_r), ca.DM.zeros(3), tau_B), seen
 
 
-def _with_arms(model: Model, who: str) -> Multibody:
+def with_arms(model: Model, who: str) -> Multibody:
     """The model, which must have arms."""
     model.require((*NEEDS, "arm"), who)
     if not isinstance(model, Multibody):
@@ -133,9 +142,9 @@ def suarez2020_position(model: Model, rate: float) -> Block:
     Raises:
         MissingCapability: no arms, or rotors that do not fit.
     """
-    arms = _with_arms(model, "law suarez2020_position")
+    arms = with_arms(model, "law suarez2020_position")
     b = BlockBuilder("suarez2020_position", SOURCE, rate, "position and velocity loops, 'Aerial platform'")
-    r = add_position_loops(b, arms, rate, add_base(b, arms))
+    r, _ = add_position_loops(b, arms, rate, add_base(b, arms))
     weight = arms.robot.mass * arms.robot.gravity
     at = hover_poses(arms)
     b.output("lift_r", r.lift, "N", frame="B", doc="force along z_B", default=(weight,))
@@ -151,10 +160,10 @@ def suarez2020_base(model: Model, rate: float) -> Block:
     Raises:
         MissingCapability: no arms, or rotors that do not fit.
     """
-    arms = _with_arms(model, "law suarez2020_base")
+    arms = with_arms(model, "law suarez2020_base")
     b = BlockBuilder("suarez2020_base", SOURCE, rate, "four nested loops of the platform, 'Aerial platform'")
     base = add_base(b, arms)
-    reference = add_position_loops(b, arms, rate, base)
+    reference, _ = add_position_loops(b, arms, rate, base)
     servo = add_servos(b, arms)
     add_attitude_loops(b, arms, rate, base.q_WB, base.w_B, reference)
     finish(b, arms, rate, servo)
