@@ -59,7 +59,7 @@ class JointCompliance:
             return Schedule(rest, {"joint_d": [(0.0, (0.0, BENT)), (STEP, (0.0, STRETCHED)), (BACK, (0.0, BENT))]})
         return Schedule(rest)
 
-    def disturbances(self, case: Case, model: Model) -> list[Disturbance]:
+    def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The bench; the block above the tool; the blow."""
         found: list[Disturbance] = [Clamp()]
         if case.name == "torque":

@@ -154,7 +154,7 @@ class Mission:
             said |= {
                 f"r_{name}_d": task.r,
                 f"p_{name}_d": goal,
-                f"in_W_{name}": (float(task.p_W is not None),),
+                f"in_W_{name}": (float(task.p_W is not None or task.steer is not None),),
                 f"joystick_{name}": self._stick(name, goal) if task.steer else np.zeros(3),
                 f"operated_{name}": (float(task.steer is not None),),
                 f"roll_{name}": (task.roll,),
@@ -162,22 +162,7 @@ class Mission:
                 f"load_{name}": (task.load,),
             }
         said |= {"phase": (float(self.phase.number),), "mission_failed": (float(self.failed > 0),)}
-        return {name: np.asarray(value, dtype=float) for name, value in (said | self._of_tool()).items()}
-
-    def _of_tool(self) -> dict[str, Any]:
-        """References of controllers that plan base and tool together, of the arm that carries the robot's tool."""
-        robot = self.model.robot
-        name = next(arm.name for arm in robot.arms if arm.tool == robot.file.robot.tool)
-        task = self.phase.arms.get(name, ArmTask())
-        force = np.asarray(task.force_W)
-        size = float(np.linalg.norm(force))
-        normal = -force / size if size > 0 else np.array([0.0, 0.0, -1.0])
-        return {
-            "p_WE_d": self._in_W(name, task),
-            "f_ref": (size,),
-            "n_ref_W": normal,
-            "q_WB_r": (1.0, 0.0, 0.0, 0.0),
-        }
+        return {name: np.asarray(value, dtype=float) for name, value in said.items()}
 
     def _target(self, start: Array) -> Array:
         base = self.phase.base

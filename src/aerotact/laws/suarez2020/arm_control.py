@@ -40,13 +40,15 @@ LEAST_FORCE = 1e-3
 
 @dataclass(frozen=True)
 class ArmGains:
-    """Parameters that all arms share: of joints, of force, and speeds, m/s, and gamma of (31)."""
+    """Parameters that all arms share: of joints, of force, and speeds, m/s, gamma of (31), and how
+    fast a load is taken up, kg/s."""
 
     joint: LoopGains
     force: ForceGains
     speed: Any
     speed_max: Any
     gamma: Any
+    load_rate: Any
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def add_arms(b: BlockBuilder, model: Multibody, rate: float, heard: Heard) -> Ar
     frames = tuple(arm.frame(heard, model.robot.gravity) for arm in arms)
     tools = [_tool_state(b, model, arm) for arm in arms]
     lateral = _lateral(b, arms, tools)
-    goals = tuple(_add_goal(b, model, *parts) for parts in zip(arms, frames, lateral, strict=True))
+    goals = tuple(_add_goal(b, model, rate, gains, *parts) for parts in zip(arms, frames, lateral, strict=True))
     now = ticks < 0.5
     forces = [_told(b, model, rate, gains, now, arm, goal) for arm, goal in zip(arms, goals, strict=True)]
     told = [known for known, _ in forces]
@@ -155,7 +157,8 @@ def _add_gains(b: BlockBuilder) -> ArmGains:
         force=add_force_gains(b),
         speed=b.parameter("speed", 1, "m/s", 0.15, doc="v of (23), of the tools towards their goals", lower=0.0),
         speed_max=b.parameter("speed_max", 1, "m/s", 0.1, doc="v_max of (24), at full joystick", lower=0.0),
-        gamma=b.parameter("gamma", 1, "1", 0.5, doc="share of the force's corrections, (31)", lower=0.0, limit=1.0),
+        load_rate=b.parameter("load_rate", 1, "kg/s", 0.05, doc="at which a load is taken up", lower=0.0),
+        gamma=b.parameter("gamma", 1, "1", 1.0, doc="share of the force's corrections, (31)", lower=0.0, limit=1.0),
     )
 
 
@@ -178,7 +181,15 @@ def _lateral(b: BlockBuilder, arms: tuple[InstrumentedArm, ...], tools: list[Any
     return list(lateral_forces(force, tools[0], tools[1] + offset))
 
 
-def _add_goal(b: BlockBuilder, model: Multibody, arm: InstrumentedArm, frame: ArmFrame, lateral: Any) -> ArmGoal:
+def _add_goal(
+    b: BlockBuilder,
+    model: Multibody,
+    rate: float,
+    gains: ArmGains,
+    arm: InstrumentedArm,
+    frame: ArmFrame,
+    lateral: Any,
+) -> ArmGoal:
     """References of one arm. A goal in W follows the base's measured motion, one in frame i moves with the base."""
     name, q = arm.name, _hover_angles(model, arm)
     start = tuple(arm.kinematics.forward(ca.DM(q)).full().ravel())
@@ -191,6 +202,10 @@ def _add_goal(b: BlockBuilder, model: Multibody, arm: InstrumentedArm, frame: Ar
     force_W = b.reference(f"f_{name}_d", 3, "N", frame="W", doc="force on the environment; 0 wants none")
     load = b.reference(f"load_{name}", 1, "kg", doc="mass carried at the tool", lower=0.0, limit=10.0)
     force = ca.mtimes(frame.R_WS.T, force_W)
+    carried = b.state(f"load_{name}", 1, "kg", doc=f"mass that arm '{name}' is told to carry, taken up slowly")
+    taken = gains.load_rate / rate
+    carried_next = carried + ca.fmin(ca.fmax(load - carried, -taken), taken)
+    b.update(f"load_{name}", carried_next)
     return ArmGoal(
         r=ca.if_else(in_W, frame.point(p_d), r_d),
         joystick=joystick,
@@ -198,7 +213,7 @@ def _add_goal(b: BlockBuilder, model: Multibody, arm: InstrumentedArm, frame: Ar
         roll=roll,
         force=force + lateral,
         told=lateral if arm.joints else force + lateral,
-        load=load,
+        load=carried_next,
     )
 
 
