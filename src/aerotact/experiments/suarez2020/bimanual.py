@@ -30,9 +30,10 @@ SHOULDERS, APART = np.array([0.0, 0.0, 1.8]), 0.15  # m, their middle on the ben
 PLUGGED, WATCHED, PULL, PULLED = 3.0, 3.5, 2.5, (4.0, 9.0)  # s, s, N, s: the pull grows over that time
 HOLD = (1.0, 2.0)  # N, at which the plug comes loose
 THRESHOLD = 0.008  # m, of (33)
-PRESS, PRESSED, RAISED = 3.0, (3.0, 5.0), (6.0, 8.0)  # N; s, s: the press grows, the crate is raised
+PRESS, PRESSED, RAISED = 1.2, (3.0, 5.0), (6.0, 8.0)  # N; s, s: the press grows, the crate is raised
 RAISE = 0.06  # m
 BAR, GRIP = np.array([0.25, 0.0, 1.55]), 0.30  # m, where the bar begins, and from hand to hand
+BAR_MASS = 0.10  # kg
 HOLE = np.array([0.27, 0.34, 1.50])  # m, the hole's middle; it is 10 cm deep
 ALIGNED, INSERTED, DEPTH = (2.0, 4.0), (5.0, 8.0), 0.10  # s, s: the bar is aligned, then moved along y by so much
 
@@ -53,7 +54,7 @@ class Bimanual:
     )
     cases: tuple[Case, ...] = (
         Case("unplug", "pulled apart by up to 2.5 N, loose at 1 to 2 N", 9.0, PULLED),
-        Case("grasp", "a crate pressed with 3 N from both sides and raised by 6 cm", 11.0, (8.5, 11.0), {"gamma": 0.5}),
+        Case("grasp", "a crate pressed with 1.2 N from both sides and raised by 6 cm", 11.0, (8.5, 11.0), {"gamma": 0.5}),
         Case("bar", "a bar in both hands, 5 mm of room in the hole on each side", 10.0, (8.5, 10.0)),
     )
     paper: Mapping[str, PaperNumber] = field(default_factory=dict)
@@ -62,13 +63,15 @@ class Bimanual:
         """Goals in frame i, or of the bar in W."""
         rest = suarez2020_arms(model, RATE).reference
         if case.name == "bar":
-            return Schedule(rest, {f"in_W_{arm}": [(0.0, 1.0)] for arm in SIDES}, _bar_ways())
+            known = {f"in_W_{arm}": [(0.0, 1.0)] for arm in SIDES}
+            known |= {f"load_{arm}": [(0.0, BAR_MASS / 2)] for arm in SIDES}
+            return Schedule(rest, known, _bar_ways())
         out = np.array([0.0, 0.05, 0.0])
         ways = {"left": [(0.0, INWARDS + out)], "right": [(0.0, (INWARDS + out) * MIRROR)]}
         for arm, mirror in (("left", np.ones(3)), ("right", MIRROR)):
             ways[arm] += [(1.5, ways[arm][0][1]), (2.5, INWARDS * mirror)]
             if case.name == "grasp":
-                raised = (INWARDS + [0.0, 0.0, RAISE]) * mirror
+                raised = (INWARDS + np.array([0.0, 0.0, RAISE])) * mirror
                 ways[arm] += [(RAISED[0], INWARDS * mirror), (RAISED[1], raised)]
         ramps = {f"r_{arm}_d": way for arm, way in ways.items()}
         steps = {f"roll_{arm}": [(0.0, ROLL)] for arm in SIDES}
