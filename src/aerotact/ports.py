@@ -135,8 +135,9 @@ class Layout:
         return flat
 
     def unpack(self, flat: ArrayLike) -> dict[str, Array]:
-        """Named values from the flat vector; previews have shape (nodes, size)."""
-        vector = np.asarray(flat, dtype=float).ravel()
+        """Named values from the flat vector, views of it if it is an array of floats; previews (nodes, size)."""
+        array = np.asarray(flat)
+        vector = (array if array.dtype == np.float32 else np.asarray(array, dtype=float)).ravel()
         return {
             p.name: vector[self._slices[p.name]].reshape((p.nodes, p.size) if p.nodes > 1 else (p.size,))
             for p in self.ports

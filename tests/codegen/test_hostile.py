@@ -38,8 +38,9 @@ def _fly(
     steps: int = STEPS,
 ) -> dict[Status, int]:
     """How often each status was returned."""
-    harness = _harness(block, model, share, steps, mpc=project.manifest.get("ocp") is not None)
-    if project.manifest["precision"] == "single":
+    mpc, single = project.manifest.get("ocp") is not None, project.manifest["precision"] == "single"
+    harness = _harness(block, model, share, steps, mpc=mpc, single=single)
+    if single:
         harness = in_single_precision(harness)
     folder.mkdir(exist_ok=True)
     statuses, kinds = ([int(n) for n in line.split()] for line in run(folder, project, harness, flags).splitlines())
@@ -49,7 +50,7 @@ def _fly(
     return dict(zip(Status, statuses, strict=True))
 
 
-def _harness(block: Block, model: Model, share: tuple[float, ...], steps: int, *, mpc: bool) -> str:
+def _harness(block: Block, model: Model, share: tuple[float, ...], steps: int, *, mpc: bool, single: bool) -> str:
     template = jinja2.Environment(
         undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     ).from_string((Path(__file__).parent / "hostile.c.jinja").read_text())
@@ -84,6 +85,7 @@ def _harness(block: Block, model: Model, share: tuple[float, ...], steps: int, *
         limited=limited,
         limiter_size=block.limiter_state.size,
         mpc=mpc,
+        usable="1e-3" if single else "1e-4",
     )
 
 

@@ -25,7 +25,11 @@ class Inspected(Controller):
         bounded = len(ocp.bounds.states)
         shapes = {
             **{"x": (N + 1, nx), "u": (N, nu), "plan_x": (N + 1, nx), "plan_u": (N, nu)},
-            **{"stage": (N + 1, ocp.targets.stage.size), "limiter": (nu,), "state": (ocp.targets.block.state.size,)},
+            **{
+                "stage": (N + 1, ocp.targets.stage.size),
+                "limiter": (ocp.model.actuators.size,),
+                "state": (ocp.targets.block.state.size,),
+            },
             **{"fallback_state": (ocp.fallback.state.size,)},
             **{"qp_data.lbu": (N, nu), "qp_data.ubu": (N, nu)},
             **{"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)},

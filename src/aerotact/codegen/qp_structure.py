@@ -103,7 +103,8 @@ def template_context(prefix: str, pattern: QpPattern) -> dict[str, Any]:
         "direct": pattern.direct,
         "single": pattern.single,
         "tolerance": "0.00001" if pattern.single else "1e-8",
-        "kappa": "200.0" if pattern.single else "1e5",
+        "tolerance_feasibility": "0.000001" if pattern.single else "1e-8",
+        "kappa": "1000.0" if pattern.single else "1e5",
         "hess": hessian,
         "hess_q": [entry for entry in hessian if entry[2] == "Q"],
         "blocks_w": [{"i": i, "m": min(_BLOCK, nx - i)} for i in range(0, nx, _BLOCK)],
@@ -119,10 +120,10 @@ Places = dict[tuple[str, int], list[tuple[str, int]]]
 def workspace_places(pattern: QpPattern) -> Places:
     """Where the workspace keeps one stage of the data; entries that it does not read are missing."""
     context = template_context("", pattern)
-    nu, ld, ldd = pattern.nu, context["ld"], context["ldd"]
+    nu, ld = pattern.nu, context["ld"]
     places: Places = {}
     for row, column, name, entry in context["entries"]:
-        places[name, entry] = [("G", row * ld + column), ("Gt", column * ldd + row)]
+        places[name, entry] = [("G", row * ld + column)]
     for position, entry in context["gain"]:
         places["B", entry] = [("gain", position)]
     for position, (_, _, name, entry) in enumerate(context["hess"]):

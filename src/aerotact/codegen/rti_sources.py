@@ -72,6 +72,7 @@ def rti_sources(transcription: Transcription, backend: str, where: str, precisio
     bounds = s.bounds
     context = {
         "steps": transcription.steps,
+        "usable": "1e-3" if single else "1e-4",
         "nx": s.nx,
         "ndx": n,
         "nu": m,

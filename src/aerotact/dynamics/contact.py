@@ -2,8 +2,8 @@
 
 A surface is locally a plane with unit normal n_W from the surface to the robot; gap = n_W . p_WE - offset. The force on
 the tool is F (n_W + friction_W), friction_W being told and not a function of the state: friction that opposes the
-predicted sliding, smoothed about zero, would decay at mu F / (m_tip v_smooth), hundreds of 1/s, far beyond what the
-steps of a horizon can integrate. The normal force F is a blend of two:
+predicted sliding, smoothed about zero, would stop the tip at mu F / (m_tip v_smooth), hundreds of 1/s, far beyond what
+the steps of a horizon can integrate. The normal force F is a blend of two:
 
     rigid      F makes the tip's normal velocity decay with SETTLING: no stiffness enters
     compliant  F = stiffness * penetration + damping * speed of approach, smooth and unilateral

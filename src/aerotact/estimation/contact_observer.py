@@ -3,7 +3,8 @@
 The tool's force is measured, so that the residuals of force and torque can be cleared of it: what is left is the
 disturbance, errors of the rotors' model included. A push on the tool away from every surface is a disturbance, too. In
 contact, the disturbance along the normal is found from the tip instead, much faster: the tip does not accelerate along
-it (though the body may, where the push has a lever arm), and each newton of it is an error of the contact force.
+it (though the body may, where the push has a lever arm), and each newton of it is an error of the contact force. A tip
+that strikes or bounces does accelerate: then the slower estimate holds.
 """
 
 from typing import Any
@@ -65,6 +66,10 @@ def contact_observer(model: Model, rate: float) -> Block:
     lost_force = b.parameter("lost_force", 1, "N", 0.1, doc="below which a contact ends", lower=0.0)
     lost_time = b.parameter("lost_time", 1, "s", 0.2, doc="for which it must stay below", lower=0.0)
 
+    settle_time = b.parameter(
+        "settle_time", 1, "s", 0.02, doc="of unbroken force after which the tip counts as resting", lower=0.0
+    )
+
     started = b.state("started", 1, "1", kind="flag", doc="1 after the first step") > 0
     tare = b.state("tare_S", 6, "N", frame="S", doc="learnt reading without contact, force N and torque N m")
     samples = b.state("tare_samples", 1, "1", doc="samples in the tare's mean")
@@ -78,6 +83,7 @@ def contact_observer(model: Model, rate: float) -> Block:
     held_n = b.state("n_W", 3, "1", frame="W", doc="normal seen last", default=(0.0, 0.0, 1.0))
     normal = b.state("normal_force", 1, "N", doc="low-passed normal force")
     contact = b.state("contact", 1, "1", kind="flag", doc="1 in contact") > 0
+    pressed = b.state("pressed", 1, "s", doc="time of unbroken force in contact")
     lost = b.state("lost", 1, "s", doc="time below lost_force")
     friction = b.state("friction", 1, "1", doc="coefficient of friction", default=(0.4,))
 
@@ -121,11 +127,14 @@ def contact_observer(model: Model, rate: float) -> Block:
     a_known_W = (f_rotors_W + f_tip_W) / robot.mass - ca.DM([0, 0, robot.gravity]) + ca.mtimes(R_WB, turning)
     balance = -robot.mass * ca.dot(n, a_known_W)
     along = ca.dot(n, f_next)
+    pressed_next = ca.if_else(ca.logic_and(contact_next, felt > lost_force), pressed + period, 0)
     f_normal_next = ca.if_else(
-        contact_next, f_normal_dist + first_order_gain(L_normal, period) * (balance - f_normal_dist), along
+        pressed_next > settle_time,
+        f_normal_dist + first_order_gain(L_normal, period) * (balance - f_normal_dist),
+        along,
     )
     apart = ca.logic_not(ca.logic_or(contact_next, near))
-    f_out = f_next + ca.if_else(contact_next, f_normal_next - along, 0) * n + apart * f_tool_next
+    f_out = f_next + (f_normal_next - along) * n + apart * f_tool_next
     tau_out = tau_next + apart * tau_tool_next
 
     # friction
@@ -152,6 +161,7 @@ def contact_observer(model: Model, rate: float) -> Block:
         "normal_force": normal_next,
         "contact": contact_next,
         "lost": lost_next,
+        "pressed": pressed_next,
         "friction": friction_next,
     }
     for name, value in updates.items():

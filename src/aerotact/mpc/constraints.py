@@ -218,8 +218,8 @@ ROWS = {
         ),
         Row(
             "swing",
-            "angles of the passive joints, rad",
-            ("quasi_static", "passive_joint"),
+            "angles of the passive joints, if there are any, rad",
+            ("quasi_static",),
             ("max",),
             (),
             lambda model, x, _: model.state.split(x)["passive"],
@@ -247,7 +247,11 @@ def make_rows(
     Raises:
         ProblemError: an entry lacks a limit, has one that is not its own, or limits that leave no room.
     """
-    chosen = [(ROWS[name], RowEntry() if entry == "hard" else entry) for name, entry in entries.items() if name in ROWS]
+    chosen = [
+        (ROWS[name], RowEntry() if entry == "hard" else entry)
+        for name, entry in entries.items()
+        if name in ROWS and ROWS[name].size(model)
+    ]
     if not chosen:
         return NO_ROWS
     sides = [_sides(path, model, row, entry) for row, entry in chosen]

@@ -90,7 +90,7 @@ def add_contact(
     fast = b.parameter("approach_limit", 1, "m/s", 0.08, doc="highest speed of approach", lower=0.0)
     reach = b.parameter("reach", 1, "m", 0.2, doc="distance within which a force is striven for", lower=0.0)
     force_rate = b.parameter("force_rate", 1, "N/s", 200.0, doc="highest rate of the force wanted", lower=0.0)
-    preload = b.parameter("preload", 1, "N", 0.5, doc="force wanted when contact is made", lower=0.0)
+    preload = b.parameter("preload", 1, "N", 1.0, doc="force wanted when contact is made", lower=0.0)
 
     span = Span(
         b.parameter("d_min", 1, "m", 0.2, doc="distance up to which the impedance is that of the wall", lower=0.0),
@@ -130,6 +130,8 @@ def add_contact(
     felt_W = felt_W * ca.fmin(1, friction / ca.sqrt(ca.sumsqr(felt_W) + 1e-12))
 
     near = ca.if_else(known, nearness(distance, span), 0)
+    # While the tip approaches no contact is predicted: the plan would push harder to keep its speed into the wall.
+    met = ca.logic_not(approaching)
     columns, forces = [], []
     for k, time in enumerate(times):
         reachable = force_rate * time
@@ -143,8 +145,8 @@ def add_contact(
                 n,
                 offset,
                 friction_W,
-                stiffness,
-                damping,
+                met * stiffness,
+                met * damping,
                 pushing,
                 f_push,
                 wanted,

@@ -144,6 +144,7 @@ def load_ocp(name_or_path: str | Path, model: Model, delay: float | None = None)
         raise ProblemError(path, "problem.needs", f"unknown {unknown}", f"valid: {', '.join(sorted(CAPABILITIES))}")
     model.require(list(dict.fromkeys(needs)), f"problem '{path.stem}'")
 
+    residuals = [r for r in residuals if all(term.count(model) for term in r.terms)]  # of joints that there are
     weights = [p for r in residuals for p in _weights(path, r.name, file.residuals[r.name], r, model)]
     uses = {kind for r in residuals for kind in r.uses}
     uses |= {kind for name in file.constraints if name in ROWS for kind in ROWS[name].uses}

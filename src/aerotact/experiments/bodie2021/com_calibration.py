@@ -42,7 +42,7 @@ _TURNS = (
 SETTLED = 1.0  # s after the arrival, from when on the robot counts as at rest
 RESTS = tuple((there + SETTLED, rested) for turn, (_, there, rested) in _TURNS if any(turn))
 START, END = RESTS[0][0], _TURNS[-1][1][2]  # s
-_AXIS_SPAN = 7.0  # mm, of the plots
+_AXIS_SPAN = 3.0  # mm, of the plots
 EVERY = 10  # rows; what the controllers measure is new at 200 Hz, and its noise is averaged all the same
 
 

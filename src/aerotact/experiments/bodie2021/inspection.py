@@ -123,7 +123,8 @@ def _by_point(
     label(axes[0, 1], "deviation of the tip's place", "mm", "place along the block in cm")
     label(axes[0, 2], "distance of its mean from the point wanted", "mm", "place along the block in cm")
     for axis in axes[0, 1:]:
-        axis.set_ylim(bottom=0.0)
+        axis.set_ylim(0.0, 1.15 * axis.get_ylim()[1])
+        axis.get_legend().remove()
     return save(figure, folder / "points.png")
 
 

@@ -24,3 +24,9 @@ ATTITUDE_HOLD = ControllerSpec(
     "attitude and height held only",
     {"K_swing": 0.0, "K_p": [0.0, 0.0, 2.0], "K_v": [0.0, 0.0, 4.0], "K_vi": [0.0, 0.0, 1.5]},
 )
+MPC = ControllerSpec(
+    "dual_arm_tools",
+    None,
+    "base and arms planned together over 0.97 s at 50 Hz, around the attitude and rate loops",
+    inner=ControllerSpec("suarez2020_attitude", RATE, "attitude and rate loops"),
+)

@@ -10,6 +10,7 @@ import numpy as np
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.multibody import Multibody
 from aerotact.exceptions import MissingCapability
+from aerotact.experiments.reference import Together
 from aerotact.laws.suarez2020.flying_arms import suarez2020_tools
 from aerotact.ports import Array
 
@@ -95,3 +96,8 @@ class Grasp:
             values[f"p_{arm.name}_d"] = np.tile(ca.DM(p_WE).full().ravel(), (n, 1))
             values[f"in_W_{arm.name}"] = on
         return values
+
+
+def resting(model: Model, legs: Sequence[tuple[float, tuple[float, float, float]]] = ()) -> Together:
+    """`hovering`, for controllers that plan the arms too: these stay in their places beside the shoulders."""
+    return Together((hovering(model, legs), Grasp(with_arms(model), np.inf)))

@@ -8,8 +8,8 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import PLATFORM
-from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, STANDARD, hovering
+from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM
+from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, STANDARD, resting
 from aerotact.experiments.suarez2020.pendulum import swing, tilt
 from aerotact.log import Log
 from aerotact.loop import Reference
@@ -30,7 +30,7 @@ class Hover:
     robot: str = STANDARD
     world: str = "floor"
     seeds: int = 5
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"law": PLATFORM})
+    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"law": PLATFORM, "mpc": MPC})
     cases: tuple[Case, ...] = (
         Case("standard", "arms at the base", END, (SETTLED, END), robot=STANDARD),
         Case("long-reach", "arms below a passive pendulum", END, (SETTLED, END), robot=LONG_REACH),
@@ -39,7 +39,7 @@ class Hover:
 
     def reference(self, case: Case, model: Model) -> Reference:
         """Stay."""
-        return hovering(model)
+        return resting(model)
 
     def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """None."""

@@ -9,7 +9,7 @@ import numpy as np
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.reference import Together
-from aerotact.experiments.suarez2020.controllers import PLATFORM, TOOLS
+from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM, TOOLS
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, STANDARD, Grasp, hovering, with_arms
 from aerotact.experiments.suarez2020.pendulum import swing
 from aerotact.log import Log
@@ -35,7 +35,9 @@ class HoverGrasp:
     robot: str = STANDARD
     world: str = "floor"
     seeds: int = 5
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"arms-held": PLATFORM, "law": TOOLS})
+    controllers: Mapping[str, ControllerSpec] = field(
+        default_factory=lambda: {"arms-held": PLATFORM, "law": TOOLS, "mpc": MPC}
+    )
     cases: tuple[Case, ...] = (
         Case("standard", "arms at the base", END, (SETTLED, END), robot=STANDARD),
         Case("long-reach", "arms below a passive pendulum", END, (SETTLED, END), robot=LONG_REACH),

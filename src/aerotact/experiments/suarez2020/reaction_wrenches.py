@@ -117,10 +117,20 @@ def _model(robot: str) -> Model:
     return model_of(load_robot(robot))
 
 
+@cache
+def _allocation(robot: str) -> Array:
+    """Matrix (4, n) from thrusts, N, to lift, N, and torque about the base's origin, N m in B."""
+    model, columns = _model(robot), []
+    for unit in np.eye(model.rotors):
+        force, torque = (ca.DM(part).full().ravel() for part in model.rotor_wrench(ca.DM(unit)))
+        columns.append([force[2], *torque])
+    return np.array(columns).T
+
+
 def rotor_wrench(robot: str, thrust: Array) -> tuple[Array, Array]:
-    """Lift, N, (rows,), and torque about the base's origin, N m in B, (rows, 3), of measured or true thrusts, N."""
-    force, torque = _model(robot).rotor_wrench(ca.DM(thrust.T))
-    return ca.DM(force).full()[2], ca.DM(torque).full().T
+    """Lift, N, (rows,), and torque about the base's origin, N m in B, (rows, 3), of thrusts, N, (rows, n)."""
+    wrench = thrust @ _allocation(robot).T
+    return wrench[:, 0], wrench[:, 1:]
 
 
 def pipe_distance(robot: str, log: Mapping[str, Array], rows: slice) -> float:

@@ -8,8 +8,8 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import PID, PLATFORM
-from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, hovering
+from aerotact.experiments.suarez2020.controllers import MPC, PID, PLATFORM
+from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, resting
 from aerotact.experiments.suarez2020.pendulum import settled, swing
 from aerotact.log import Log
 from aerotact.loop import Reference
@@ -38,7 +38,7 @@ class StopFromFlight:
     robot: str = LONG_REACH
     world: str = "floor"
     seeds: int = 5
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"pid": PID, "law": PLATFORM})
+    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"pid": PID, "law": PLATFORM, "mpc": MPC})
     cases: tuple[Case, ...] = (Case("stop", "1 m/s to rest in 0.5 s", END, (STOP, END)),)
     paper: Mapping[str, PaperNumber] = field(
         default_factory=lambda: {
@@ -50,7 +50,7 @@ class StopFromFlight:
 
     def reference(self, case: Case, model: Model) -> Reference:
         """Off, along, stop."""
-        return hovering(model, LEGS)
+        return resting(model, LEGS)
 
     def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """None."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import ATTITUDE_HOLD, PID, PLATFORM
-from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, hovering, with_arms
+from aerotact.experiments.suarez2020.controllers import ATTITUDE_HOLD, MPC, PID, PLATFORM
+from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, resting, with_arms
 from aerotact.experiments.suarez2020.pendulum import settled, swing
 from aerotact.log import Log
 from aerotact.loop import Reference
@@ -33,7 +33,7 @@ class SwingRelease:
     world: str = "floor"
     seeds: int = 5
     controllers: Mapping[str, ControllerSpec] = field(
-        default_factory=lambda: {"attitude-hold": ATTITUDE_HOLD, "pid": PID, "law": PLATFORM}
+        default_factory=lambda: {"attitude-hold": ATTITUDE_HOLD, "pid": PID, "law": PLATFORM, "mpc": MPC}
     )
     cases: tuple[Case, ...] = (
         Case("backward", "let go 10 degrees behind", END, (0.0, END)),
@@ -49,7 +49,7 @@ class SwingRelease:
 
     def reference(self, case: Case, model: Model) -> Reference:
         """Stay."""
-        return hovering(model)
+        return resting(model)
 
     def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The pendulum's start."""
