@@ -2,13 +2,14 @@
 arms follow their servos quasi-statically, so that it has none of the springs' stiff modes.
 
 State x:    p_WB(3) q_WB(4) v_WB(3) w_B(3) passive(k) passive_rate(k) joint(4 a) force(1); joint: of the working arms,
-            force: f of the surface on the tool, along its normal n_W; no passive, passive_rate on a robot without
+            force: f of the surface on the tool, along its normal n_W; no passive, passive_rate on a robot without.
+            v_WB, w_B, passive_rate are those that there were if the arms stopped now, see `recoil`
 Control u:  thrust(1) torque(3) joint_rate(4 a) force_rate(1): total thrust along z of B, torque on the base about its
             origin, rates of the joint angles and of the force
 Parameter p: f_ext_W(3), tau_ext_B(3): wrench of the environment on the base at its origin; n_W(3)
 
-The arms' own rates and accelerations are left out of the motion of the base: what hangs on the passive joint is one
-body, whose inertia follows from the mass matrix of `dynamics.bodies` for the arms as they stand,
+The arms' momentum is that of `recoil`; their own rates are left out of the centrifugal forces: what hangs on the
+passive joint is one body, whose inertia follows from the mass matrix of `dynamics.bodies` for the arms as they stand,
 
     [F; tau; 0] = wrench of the base body + wrench of the hanging body, at the base, and about the passive axis,
 
@@ -42,10 +43,17 @@ _SHARE_TORQUE = (0.15, 0.15, 0.5)
 
 @dataclass(frozen=True)
 class Arms:
-    """How the working arms stand: `hanging` and the first of `tools_at_zero` of `Reduced`."""
+    """How the working arms stand.
+
+    Attributes:
+        hanging, tool: as `Reduced.hanging` and the first of `Reduced.tools_at_zero`.
+        mass, coupling: rows of base and passive joint of the mass matrix, (6 + k, 6 + k) and (6 + k, 4 a).
+    """
 
     hanging: Inertia
     tool: Any
+    mass: Any
+    coupling: Any
 
 
 @dataclass(frozen=True)
@@ -330,10 +338,29 @@ class Reduced(Model):
         found = solve_from_the_leaves(ca.densify(ca.jacobian(gap, nu)), -at_zero)
         return ca.mtimes(R_WB, found[0:3]) - ca.DM([0, 0, self.robot.gravity]), found[3:6], found[6:]
 
-    def arms_at(self, x: Any) -> Arms:
-        """How the working arms of x stand."""
-        joint = self.state.split(x)["joint"]
-        return Arms(self.hanging(joint), self.tools_at_zero(joint)[0])
+    def arms_at(self, x: Any, about: Any = None) -> Arms:
+        """How the working arms of x stand; their recoil as if they stood as in `about`, which is x if left out."""
+        joint, k = self.state.split(x)["joint"], 6 + self.passive
+        M = self.full.bodies.mass_matrix(self.all_joints(x if about is None else about))
+        moved = M[:k, [k + i for i in self.working.tolist()]]
+        return Arms(self.hanging(joint), self.tools_at_zero(joint)[0], M[:k, :k], moved)
+
+    def recoil(self, arms: Arms, joint_rate: Any) -> Any:
+        """Velocity [v_B; w_B; passive] that base and passive joint lose while the arms move, (6 + k,).
+
+        The velocities of the state are those with the arms stopped, M^-1 of the momentum: what stops the arms acts
+        between bodies of the robot, so that joint rates may jump, and no acceleration of the arms is needed.
+        """
+        return solve_from_the_leaves(ca.densify(arms.mass), ca.mtimes(arms.coupling, joint_rate))
+
+    def stopped(self, x: Any, joint_rate: Any) -> Any:
+        """The state of a robot whose base and passive joint move as in x while the arms move."""
+        s, lost = self.state.split(x), self.recoil(self.arms_at(x), joint_rate)
+        s["v_WB"] = s["v_WB"] + ca.mtimes(so3.rotation(s["q_WB"]), lost[0:3])
+        s["w_B"] = s["w_B"] + lost[3:6]
+        if self.passive:
+            s["passive_rate"] = s["passive_rate"] + lost[6:]
+        return ca.vertcat(*[s[port.name] for port in self.state])
 
     def _swing(self, x: Any) -> Any:
         """Rotation by the passive joint's angle."""
@@ -358,11 +385,14 @@ class Reduced(Model):
 
     def derivative(self, x: Any, u: Any, p: Any, arms: Arms | None = None) -> Any:
         """dx/dt for the controls u and the parameter p; `arms` as in `motion`."""
+        arms = arms or self.arms_at(x)
         s, c = self.state.split(x), self.control.split(u)
         a_WB, dw_B, ddq = self.motion(x, u, p, arms)
-        swing = (s["passive_rate"], ddq) if self.passive else ()
-        turn = so3.quaternion_rate(s["q_WB"], s["w_B"])
-        return ca.vertcat(s["v_WB"], turn, a_WB, dw_B, *swing, c["joint_rate"], c["force_rate"])
+        lost = self.recoil(arms, c["joint_rate"])
+        v_WB = s["v_WB"] - ca.mtimes(so3.rotation(s["q_WB"]), lost[0:3])
+        turn = so3.quaternion_rate(s["q_WB"], s["w_B"] - lost[3:6])
+        swing = (s["passive_rate"] - lost[6:], ddq) if self.passive else ()
+        return ca.vertcat(v_WB, turn, a_WB, dw_B, *swing, c["joint_rate"], c["force_rate"])
 
     def loads(self, x: Any, n_W: Any) -> Any:
         """Torques that hold passive joint and working arms at rest against gravity and force, N m, (k + 4 a,).
@@ -422,8 +452,9 @@ class Reduced(Model):
         p = ca.DM(self.disturbance.pack({"n_W": [0, 0, -1]})) if p is None else p
         s, c, n_W = self.state.split(x), self.control.split(u), self.disturbance.split(p)["n_W"]
         slope = self.derivative(x, u, p)
-        w_B = s["w_B"] + lead * slope[self.state.slice("w_B")]
-        q_WB = so3.unit(so3.retract(s["q_WB"], lead * (s["w_B"] + w_B) / 2))
+        turning = s["w_B"] - self.recoil(self.arms_at(x), c["joint_rate"])[3:6]
+        w_B = turning + lead * slope[self.state.slice("w_B")]
+        q_WB = so3.unit(so3.retract(s["q_WB"], lead * (turning + w_B) / 2))
         servo = self.holding_servo(x, n_W)
         lag = ca.DM(self.full.servo_time_constants[self.working])
         servos = ca.SX(ca.DM(self.full.hover_servo))

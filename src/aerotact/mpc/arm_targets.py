@@ -163,8 +163,10 @@ def _goals(b: BlockBuilder, model: Reduced, name: str, base: Any, yaw: Any, node
     p_d = _reference(b, f"p_{name}_d", "m", f"goal of arm '{name}' in W", nodes)
     r_d = b.reference(f"r_{name}_d", 3, "m", doc=f"goal of arm '{name}' in frame i", nodes=nodes, default=start)
     in_W = b.reference(f"in_W_{name}", 1, "1", kind="flag", doc="1 if the goal in W counts, 0 if that in frame i")
+    steered = b.reference(f"operated_{name}", 1, "1", kind="flag", doc="1 while an operator gives that in W")
     standing = [arm.from_shoulder(base[:, k], _heading(yaw[k]), swing, r_d[:, k]) for k in range(nodes)]
-    return ca.horzcat(*[ca.if_else(in_W > 0, p_d[:, k], there) for k, there in enumerate(standing)])
+    there = ca.logic_or(in_W > 0, steered > 0)
+    return ca.horzcat(*[ca.if_else(there, p_d[:, k], beside) for k, beside in enumerate(standing)])
 
 
 def _limited(start: Any, goal: Any, change: Any) -> Any:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import PLATFORM
+from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import STANDARD, with_arms
 from aerotact.experiments.suarez2020.mission import ArmTask, Mission, Phase, Scene, Steering, Vector
 from aerotact.log import Log
@@ -167,7 +167,7 @@ class ToolInstallation:
     robot: str = STANDARD
     world: str = "pipe_and_bench"
     seeds: int = 10
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"law": LAW})
+    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"law": LAW, "mpc": MPC})
     cases: tuple[Case, ...] = (Case("mission", "all twelve phases", END, (0.0, END)),)
     paper: Mapping[str, PaperNumber] = field(default_factory=dict)
 
