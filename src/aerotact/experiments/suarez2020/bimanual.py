@@ -54,7 +54,7 @@ class Bimanual:
     )
     cases: tuple[Case, ...] = (
         Case("unplug", "pulled apart by up to 2.5 N, loose at 1 to 2 N", 9.0, PULLED),
-        Case("grasp", "a crate pressed with 1.2 N from both sides and raised by 6 cm", 11.0, (8.5, 11.0), {"gamma": 0.5}),
+        Case("grasp", "a crate pressed with 1.2 N from both sides, raised by 6 cm", 11.0, (8.5, 11.0), {"gamma": 0.5}),
         Case("bar", "a bar in both hands, 5 mm of room in the hole on each side", 10.0, (8.5, 10.0)),
     )
     paper: Mapping[str, PaperNumber] = field(default_factory=dict)
