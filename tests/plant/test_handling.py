@@ -39,9 +39,9 @@ def test_clamp_holds_the_base_against_rotors_and_a_pull(robot: Robot) -> None:
 
 
 def test_placement_moves_what_stands_and_what_is_free(robot: Robot) -> None:
-    plant = _run(robot, "handled", 0.0, Placement("crate", (1.0, 2.0, 3.0)), Placement("hole", (4.0, 5.0, 6.0)))
+    plant = _run(robot, "handled", 0.0, Placement("bar", (1.0, 2.0, 3.0)), Placement("hole", (4.0, 5.0, 6.0)))
     poses = dict(zip(plant.objects, plant.truth()["objects_W"].reshape(-1, 7), strict=True))
-    np.testing.assert_allclose(poses["crate"][:3], [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(poses["bar"][:3], [1.0, 2.0, 3.0])
     np.testing.assert_allclose(plant.data.body("hole").xpos, [4.0, 5.0, 6.0])
 
 
@@ -53,7 +53,7 @@ def test_placement_with_a_spread_is_drawn_by_the_seed(robot: Robot) -> None:
 
 
 def test_placement_names_what_there_is(robot: Robot) -> None:
-    with pytest.raises(UnknownName, match="crate"):
+    with pytest.raises(UnknownName, match="bar"):
         _run(robot, "handled", 0.0, Placement("box", (0, 0, 0)))
 
 
@@ -114,18 +114,24 @@ def test_friction_acts_on_the_right_tip_too(robot: Robot) -> None:
         servo[7] = start - 0.25 * min(1.0, k / 3000)  # the right elbow presses upwards, slowly
         plant.command(robot.hover_thrust, servo=servo)
         plant.step()
-    left, right = plant.truth()["f_tools_W"].reshape(2, 3)
-    np.testing.assert_array_equal(left, 0.0)
-    assert right[2] < -0.5
-    across = np.linalg.norm(right[:2])
-    assert 0.05 < across <= 0.5 * -right[2] * (1 + 1e-9)
-    # The deflected springs balance the contact, by virtual work in MuJoCo's own Jacobian.
-    J = np.zeros((3, plant.model.nv))
+    # The deflected springs balance the contact, by virtual work in MuJoCo's own Jacobian; the mean of a second, since
+    # the tip still rings.
     site = plant.model.site("arm_right_tip").id
-    mujoco.mj_jacSite(plant.model, plant.data, J, None, site)
     dofs = [plant.model.joint(j.name).dofadr[0] for j in robot.arms[1].joints]
-    spring = plant.data.qfrc_actuator[dofs] + plant.data.qfrc_applied[dofs]
-    np.testing.assert_allclose(spring + J[:, dofs].T @ right, plant.data.qfrc_bias[dofs], atol=5e-3)
+    forces, lacking = [], []
+    for _ in range(1000):
+        J = np.zeros((3, plant.model.nv))
+        mujoco.mj_jacSite(plant.model, plant.data, J, None, site)
+        plant.step()
+        left, right = plant.truth()["f_tools_W"].reshape(2, 3)
+        spring = plant.data.qfrc_actuator[dofs] + plant.data.qfrc_applied[dofs]
+        forces.append(right)
+        lacking.append(spring + J[:, dofs].T @ right - plant.data.qfrc_bias[dofs])
+        np.testing.assert_array_equal(left, 0.0)
+    pressing, across = -np.mean(forces, axis=0)[2], np.linalg.norm(np.mean(forces, axis=0)[:2])
+    assert pressing > 0.3
+    assert 0.02 < across <= 0.5 * pressing
+    np.testing.assert_allclose(np.mean(lacking, axis=0), 0.0, atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -146,5 +152,5 @@ def test_bad_numbers_are_refused(make: object) -> None:
 def test_grips_and_hooks_name_arms_and_bodies(robot: Robot) -> None:
     with pytest.raises(InputError, match="valid: 0 to 1"):
         _run(robot, "handled", 0.0, Grip(2, "bar", (0.0, 0.0, 0.0)))
-    with pytest.raises(UnknownName, match="crate"):
+    with pytest.raises(UnknownName, match="bar"):
         _run(robot, "handled", 0.0, Hook(0, "tool", (0.0, 0.0, 0.25), 0.2))

@@ -1,4 +1,4 @@
-"""Bimanual tasks on a bench: a bar into a hole, a crate between both arms, a plug out of its socket (V-E, Fig. 18)."""
+"""Bimanual tasks on a bench: a bar into a hole, a plug out of its socket (V-E, Fig. 18)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,12 +26,9 @@ from aerotact.ports import Array
 LAW, RATE = "suarez2020_arms", 200.0
 ROLL = 0.6  # rad, of the shoulders, so that the forearms can push and pull sideways
 INWARDS = np.array([0.05, 0.0, -0.37])  # m, tools in frame i for that
-SHOULDERS, APART = np.array([0.0, 0.0, 1.8]), 0.15  # m, their middle on the bench, and half of what is between them
 PLUGGED, WATCHED, PULL, PULLED = 3.0, 3.5, 2.5, (4.0, 9.0)  # s, s, N, s: the pull grows over that time
 HOLD = (1.0, 2.0)  # N, at which the plug comes loose
 THRESHOLD = 0.008  # m, of (33)
-PRESS, PRESSED, RAISED = 1.2, (3.0, 5.0), (6.0, 8.0)  # N; s, s: the press grows, the crate is raised
-RAISE = 0.06  # m
 BAR, GRIP = np.array([0.25, 0.0, 1.55]), 0.30  # m, where the bar begins, and from hand to hand
 BAR_MASS = 0.10  # kg
 HOLE = np.array([0.27, 0.34, 1.50])  # m, the hole's middle; it is 10 cm deep
@@ -40,10 +37,10 @@ ALIGNED, INSERTED, DEPTH = (2.0, 4.0), (5.0, 8.0), 0.10  # s, s: the bar is alig
 
 @dataclass(frozen=True)
 class Bimanual:
-    """Three tasks of two arms with the base held."""
+    """Two tasks of two arms with the base held."""
 
     name: str = "suarez2020/bimanual"
-    doc: str = "V-E, Fig. 18: bar insertion, grasp by lateral force, un-plugging, on a bench"
+    doc: str = "V-E, Fig. 18: bar insertion and un-plugging by lateral force, on a bench"
     robot: str = STANDARD
     world: str = "handled"
     seeds: int = 20
@@ -54,7 +51,6 @@ class Bimanual:
     )
     cases: tuple[Case, ...] = (
         Case("unplug", "pulled apart by up to 2.5 N, loose at 1 to 2 N", 9.0, PULLED),
-        Case("grasp", "a crate pressed with 1.2 N from both sides, raised by 6 cm", 11.0, (8.5, 11.0), {"gamma": 0.5}),
         Case("bar", "a bar in both hands, 5 mm of room in the hole on each side", 10.0, (8.5, 10.0)),
     )
     paper: Mapping[str, PaperNumber] = field(default_factory=dict)
@@ -70,23 +66,15 @@ class Bimanual:
         ways = {"left": [(0.0, INWARDS + out)], "right": [(0.0, (INWARDS + out) * MIRROR)]}
         for arm, mirror in (("left", np.ones(3)), ("right", MIRROR)):
             ways[arm] += [(1.5, ways[arm][0][1]), (2.5, INWARDS * mirror)]
-            if case.name == "grasp":
-                raised = (INWARDS + np.array([0.0, 0.0, RAISE])) * mirror
-                ways[arm] += [(RAISED[0], INWARDS * mirror), (RAISED[1], raised)]
         ramps = {f"r_{arm}_d": way for arm, way in ways.items()}
         steps = {f"roll_{arm}": [(0.0, ROLL)] for arm in SIDES}
-        if case.name == "unplug":
-            steps["grasped"] = [(WATCHED, 1.0)]
-            return Schedule(rest, steps, ramps | {"f_grasp": [(PULLED[0], 0.0), (PULLED[1], -PULL)]})
-        return Schedule(rest, steps, ramps | {"f_grasp": [(PRESSED[0], 0.0), (PRESSED[1], PRESS)]})
+        steps["grasped"] = [(WATCHED, 1.0)]
+        return Schedule(rest, steps, ramps | {"f_grasp": [(PULLED[0], 0.0), (PULLED[1], -PULL)]})
 
     def disturbances(self, case: Case, model: Model, seed: int) -> list[Disturbance]:
         """The bench and what the arms handle."""
         if case.name == "unplug":
             return [Clamp(), Plug(PLUGGED, HOLD)]
-        if case.name == "grasp":
-            x, _, z = SHOULDERS + INWARDS
-            return [Clamp(), Placement("crate", (x, 0.0, z - 0.02)), Placement("stand", (x, 0.0, z - 0.1005))]
         hands = [Grip(arm, "bar", (0.0, side * GRIP / 2, 0.0)) for arm, side in enumerate((1.0, -1.0))]
         return [Clamp(), *hands, Placement("bar", _triple(BAR)), Placement("hole", _triple(HOLE))]
 
@@ -95,15 +83,7 @@ class Bimanual:
         rows = log.window(*case.judged)
         if case.name == "unplug":
             return _unplugged(log)
-        if case.name == "grasp":
-            across = 0.5 * (log["f_tools_W"][rows, 4] - log["f_tools_W"][rows, 1])
-            crate = log["objects_W"][:, :3]
-            return {
-                "grasp_force": Metric(float(-across.mean()), "N"),
-                "grasp_force_rmse": Metric(rmse(-across - PRESS), "N"),
-                "crate_raised": Metric(float(crate[rows, 2].mean() - crate[0, 2]), "m"),
-            }
-        bar = log["objects_W"][:, 7:14]
+        bar = log["objects_W"]
         wanted = 0.5 * (log["p_left_d"] + log["p_right_d"])
         told = 0.5 * (log["p_left_W"] + log["p_right_W"])
         end = bar[-1, 1] + 0.25
@@ -115,7 +95,7 @@ class Bimanual:
 
     def plot(self, runs: Mapping[tuple[str, str], Mapping[str, Array]], folder: Path) -> list[Path]:
         """Forces and places."""
-        figure, axes = panels(1, 3, f"{self.name}: on a bench", width=4.2)
+        figure, axes = panels(1, 2, f"{self.name}: on a bench", width=4.8)
         for (_, case), log in runs.items():
             time = log["time"][:, 0]
             if case == "unplug":
@@ -125,18 +105,11 @@ class Bimanual:
                 axis.plot(time, -log["f_grasp"][:, 0], "k--", lw=1.0, label="reference, N")
                 axis.set_xlim(3.0, 9.0)
                 label(axis, "un-plugging", "force in N")
-            elif case == "grasp":
-                axis = axes[0, 1]
-                axis.plot(time, -log["f_tools_W"][:, 1], color=COLOURS[0], label="left, N")
-                axis.plot(time, log["f_tools_W"][:, 4], color=COLOURS[1], label="right, N")
-                axis.plot(time, 100 * (log["objects_W"][:, 2] - log["objects_W"][0, 2]), "k", label="crate raised, cm")
-                axis.set_ylim(-1.0, 10.0)
-                label(axis, "crate between the arms", "force in N, height in cm")
             else:
-                axis = axes[0, 2]
+                axis = axes[0, 1]
                 for index, colour in zip(range(3), COLOURS, strict=False):
                     wanted = 0.5 * (log["p_left_d"] + log["p_right_d"])[:, index]
-                    axis.plot(time, 1e3 * (log["objects_W"][:, 7 + index] - wanted), color=colour, label="xyz"[index])
+                    axis.plot(time, 1e3 * (log["objects_W"][:, index] - wanted), color=colour, label="xyz"[index])
                 axis.set_ylim(-20, 20)
                 label(axis, "bar: centre minus its goal", "error in mm")
         return [save(figure, folder / "bimanual.png")]
