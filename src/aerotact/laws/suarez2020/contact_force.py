@@ -56,8 +56,8 @@ def cartesian_deflection(kinematics: ArmKinematics, theta: Any, q: Any) -> Any:
 def force_of_deflection(kinematics: ArmKinematics, theta: Any, q: Any, up: Any, joints: Sequence[int]) -> Any:
     """Force on the environment, (3,), from the Cartesian deflection: (26), (27) mended.
 
-    What gravity deflects is taken off first. J^-1 of (27), which brings the deflection back to the joints, is that of the
-    mean Jacobian between the two poses (Simpson's rule); J^-T, the statics, that of the links.
+    What gravity deflects is taken off first. J^-1 of (27), which brings the deflection back to the joints, is that of
+    the mean Jacobian between the two poses (Simpson's rule); J^-T, the statics, that of the links.
 
     Args:
         kinematics: of the arm.
