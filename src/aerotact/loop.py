@@ -466,7 +466,7 @@ class _Recorder:
             columns += SURFACE.values()
             columns += [replace(SURFACE[n], name=f"{n}_est") for n in self._unasked]
         self._live = reference if isinstance(reference, Operator) else None
-        self._wanted = list(wanted)
+        self._wanted, self._asked = list(wanted), round(1.0 / (controllers[0].rate * plant.timestep))
         if self._live:
             columns += self._live.ports
             self._wanted += [port.name for port in self._live.ports]
@@ -486,9 +486,9 @@ class _Recorder:
         for name in self._truth_names:
             arrays[name][k] = truth[name]
         if self._live:
-            said = self._live.sample(arrays["time"][k])
+            said = self._live.sample(arrays["time"][k]) if k % self._asked == 0 else None
             for name in self._wanted:
-                arrays[name][k] = said[name][0]
+                arrays[name][k] = said[name][0] if said else arrays[name][k - 1]
         for controller in self._controllers:
             for name, value in controller.output.items():
                 arrays[name][k] = value

@@ -94,27 +94,28 @@ def test_the_number_of_lanes_changes_no_bit(case: tuple[StageFunction, list[Arra
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_sine_cosine_and_exponential_are_those_of_the_library(width: int, run_c: Callable[..., str]) -> None:
+def test_sine_cosine_exponential_and_logarithm_are_those_of_the_library(width: int, run_c: Callable[..., str]) -> None:
     rng = np.random.default_rng(13)
     angles = [rng.uniform(-s, s, 500) for s in (1e-3, 1.0, 10.0, 1e3, 1e5, 1e9)]
     edges = [0.0, -0.0, np.pi / 4, np.pi / 2, np.pi, -3 * np.pi / 2, 1e-300, 699.0, -699.0, 705.0, -745.5, 1e300]
+    edges += [1e-17, -0.2929, 0.4143, -0.9989, -0.9999999, 1e15]
     a = np.concatenate([*angles, edges])
     a = np.concatenate([a, np.zeros(-len(a) % 8)])
     x = ca.SX.sym("x")
-    function = ca.Function("f", [x], [ca.sin(x), ca.cos(x), ca.exp(x)])
+    function = ca.Function("f", [x], [ca.sin(x), ca.cos(x), ca.exp(x), ca.log1p(x)])
     stages = _stages(function, 1)
     n, data = len(a), ", ".join(f"{v:.17g}" for v in a)
     main = (
         f"#include <stdio.h>\nstatic const double a[{n}] = {{{data}}};\n"
-        f"int main(void) {{ static double s[{n}], c[{n}], e[{n}]; int i; f({n}, a, s, c, e);"
-        f' for (i = 0; i < {n}; ++i) printf("%.17g %.17g %.17g\\n", s[i], c[i], e[i]); return 0; }}\n'
+        f"int main(void) {{ static double s[{n}], c[{n}], e[{n}], l[{n}]; int i; f({n}, a, s, c, e, l);"
+        f' for (i = 0; i < {n}; ++i) printf("%.17g %.17g %.17g %.17g\\n", s[i], c[i], e[i], l[i]); return 0; }}\n'
     )
     printed = run_c(f"{_header(stages)}\n{stages.source}\n{main}", f"-DAEROTACT_LANES={width}", *QUIET)
-    got = np.array([float(v) for v in printed.split()]).reshape(n, 3)
-    with np.errstate(over="ignore"):
-        expected = np.stack([np.sin(a), np.cos(a), np.exp(a)], axis=1)
+    got = np.array([float(v) for v in printed.split()]).reshape(n, 4)
+    with np.errstate(over="ignore", invalid="ignore"):
+        expected = np.stack([np.sin(a), np.cos(a), np.exp(a), np.log1p(a)], axis=1)
     np.testing.assert_allclose(got[:, :2], expected[:, :2], rtol=5e-16, atol=2e-16)
-    np.testing.assert_allclose(got[:, 2], expected[:, 2], rtol=5e-16)
+    np.testing.assert_allclose(got[:, 2:], expected[:, 2:], rtol=5e-16)
 
 
 OPERATIONS: dict[str, Callable[[Any, Any], Any]] = {

@@ -126,6 +126,35 @@ def test_energy_changes_by_the_power_of_thrust_torque_and_bearing(reduced: Reduc
         assert float(found) == pytest.approx(float(expected), abs=1e-9)
 
 
+def test_stopping_the_arms_keeps_the_momentum_of_base_and_passive_joint(reduced: Reduced) -> None:
+    """By the mass matrix of the whole robot; the base then moves as measured while the arms do."""
+    full, rng = reduced.full, np.random.default_rng(7)
+    x = ca.SX.sym("x", reduced.state.size)
+    joint_rate = ca.SX.sym("rate", reduced.joints)
+    k, stopped = 6 + reduced.passive, reduced.stopped(x, joint_rate)
+    rates = ca.SX.zeros(full.servos)
+    rates[reduced.working.tolist()] = joint_rate
+
+    def momentum(state: ca.SX, arms: ca.SX) -> ca.SX:
+        s = reduced.state.split(state)
+        v_B = ca.mtimes(so3.rotation(s["q_WB"]).T, s["v_WB"])
+        passive = (s["passive_rate"],) if reduced.passive else ()
+        M = full.bodies.mass_matrix(reduced.all_joints(state))
+        return ca.mtimes(M[:k, :], ca.vertcat(v_B, s["w_B"], *passive, arms))
+
+    u = ca.vertcat(ca.DM(reduced.hover_control[:4]), joint_rate, 0)
+    slope = reduced.derivative(stopped, u, ca.DM(reduced.disturbance.pack({"n_W": [0, 0, 1]})))
+    check = ca.Function(
+        "check",
+        [x, joint_rate],
+        [momentum(x, rates) - momentum(stopped, 0 * rates), slope[0:3] - x[reduced.state.slice("v_WB")]],
+    )
+    for _ in range(10):
+        gaps = check(_random(reduced, rng)[0], rng.normal(size=reduced.joints))
+        for gap in gaps:
+            np.testing.assert_allclose(gap.full(), 0.0, atol=1e-12)
+
+
 def test_servo_angles_hold_the_whole_robot_at_rest_against_a_force(reduced: Reduced) -> None:
     """In the quasi-static limit the predictor and the compliant robot are the same."""
     full, rng = reduced.full, np.random.default_rng(3)

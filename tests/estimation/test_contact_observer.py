@@ -124,3 +124,14 @@ def test_the_predictor_finds_the_force_that_is_felt(tilting: Model, pitch: float
     surface = Surface(ca.DM(N_W), 0.0, ca.DM.zeros(3), 2000.0, 150.0, 1.0)
     # the torque observer takes the robot for one that does not turn, as the readings say
     assert float(contact_motion(tilting, ca.DM(x), rest, surface).force) == pytest.approx(8.0, abs=1e-3)
+
+
+def test_a_strike_is_no_disturbance(observed: Observed) -> None:
+    """A tip that is thrown back feels much and rests not: only after a while of unbroken force is it taken to rest."""
+    observed.run(0.5, 0.0 * N_W)
+    for _ in range(3):  # 6 ms at 20 N, which the accelerometer explains
+        felt = 20.0 * N_W
+        up = np.array([0.0, 0.0, observed.model.robot.gravity])
+        struck = observed.step(felt, specific_force_B=up + felt / observed.model.robot.mass)
+    assert struck["contact"] == 1
+    assert np.abs(struck["f_dist_W"]).max() < 0.1

@@ -95,7 +95,7 @@ def test_robot_without_tool_in_a_world_with_other_contacts(octorotor: Robot, tmp
 
 
 def test_unknown_world_is_refused(tilt_hex: Robot) -> None:
-    with pytest.raises(UnknownName, match=r"unknown world 'wal'; valid: floor, .*undulating_wall, wall"):
+    with pytest.raises(UnknownName, match=r"unknown world 'wal'; valid: block, .*floor, .*undulating_wall, wall"):
         Plant(tilt_hex, "wal")
 
 

@@ -120,10 +120,10 @@ Places = dict[tuple[str, int], list[tuple[str, int]]]
 def workspace_places(pattern: QpPattern) -> Places:
     """Where the workspace keeps one stage of the data; entries that it does not read are missing."""
     context = template_context("", pattern)
-    nu, ld, ldd = pattern.nu, context["ld"], context["ldd"]
+    nu, ld = pattern.nu, context["ld"]
     places: Places = {}
     for row, column, name, entry in context["entries"]:
-        places[name, entry] = [("G", row * ld + column), ("Gt", column * ldd + row)]
+        places[name, entry] = [("G", row * ld + column)]
     for position, entry in context["gain"]:
         places["B", entry] = [("gain", position)]
     for position, (_, _, name, entry) in enumerate(context["hess"]):

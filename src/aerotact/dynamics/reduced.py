@@ -2,13 +2,14 @@
 arms follow their servos quasi-statically, so that it has none of the springs' stiff modes.
 
 State x:    p_WB(3) q_WB(4) v_WB(3) w_B(3) passive(k) passive_rate(k) joint(4 a) force(1); joint: of the working arms,
-            force: f of the surface on the tool, along its normal n_W; no passive, passive_rate on a robot without
+            force: f of the surface on the tool, along its normal n_W; no passive, passive_rate on a robot without.
+            v_WB, w_B, passive_rate are those that there were if the arms stopped now, see `recoil`
 Control u:  thrust(1) torque(3) joint_rate(4 a) force_rate(1): total thrust along z of B, torque on the base about its
             origin, rates of the joint angles and of the force
 Parameter p: f_ext_W(3), tau_ext_B(3): wrench of the environment on the base at its origin; n_W(3)
 
-The arms' own rates and accelerations are left out of the motion of the base: what hangs on the passive joint is one
-body, whose inertia follows from the mass matrix of `dynamics.bodies` for the arms as they stand,
+The arms' momentum is that of `recoil`; their own rates are left out of the centrifugal forces: what hangs on the
+passive joint is one body, whose inertia follows from the mass matrix of `dynamics.bodies` for the arms as they stand,
 
     [F; tau; 0] = wrench of the base body + wrench of the hanging body, at the base, and about the passive axis,
 
@@ -28,217 +29,33 @@ from aerotact.dynamics import so3
 from aerotact.dynamics.inertia import Inertia
 from aerotact.dynamics.model import Model
 from aerotact.dynamics.multibody import Multibody, solve_from_the_leaves
+from aerotact.dynamics.reduced_interface import ReducedInterface
 from aerotact.dynamics.rotors import allocation
 from aerotact.exceptions import MissingCapability, UnknownName
 from aerotact.plant_file import joints_between, lumped, subtree
-from aerotact.ports import Array, Layout, Port
+from aerotact.ports import Array
 
 _DUST = 1e-15
-
-# Shares of a rotor's headroom at hover: any total thrust and torque within the limits leave every rotor in its range.
-_SHARE_THRUST = 0.2
-_SHARE_TORQUE = (0.15, 0.15, 0.5)
 
 
 @dataclass(frozen=True)
 class Arms:
-    """How the working arms stand: `hanging` and the first of `tools_at_zero` of `Reduced`."""
+    """How the working arms stand.
+
+    Attributes:
+        hanging, tool: as `Reduced.hanging` and the first of `Reduced.tools_at_zero`.
+        mass, coupling: rows of base and passive joint of the mass matrix, (6 + k, 6 + k) and (6 + k, 4 a).
+    """
 
     hanging: Inertia
     tool: Any
+    mass: Any
+    coupling: Any
 
 
 @dataclass(frozen=True)
-class Reduced(Model):
-    """The interface of `Model` for prediction; made by `reduced_of`.
-
-    Attributes:
-        full: the whole robot.
-        arms: names of the working arms, in the order of `joint`; the first carries the force.
-    """
-
-    full: Multibody
-    arms: tuple[str, ...]
-
-    # layouts
-
-    @cached_property
-    def state(self) -> Layout:
-        """Layout of x."""
-        passive = [
-            Port("passive", self.passive, "rad", "", "angles of the passive joints", default=self._hover_passive),
-            Port("passive_rate", self.passive, "rad/s", "", "rates of the passive joints"),
-        ]
-        hover = tuple(self.full.hover_joint[self.full.passive :][self.working])
-        return Layout(
-            [
-                Port("p_WB", 3, "m", "W", "position of the base"),
-                Port("q_WB", 4, "1", "W", "attitude of the base", kind="quaternion"),
-                Port("v_WB", 3, "m/s", "W", "velocity of the base"),
-                Port("w_B", 3, "rad/s", "B", "angular velocity of the base"),
-                *(passive if self.passive else ()),
-                Port("joint", self.joints, "rad", "", "joint angles of the working arms", default=hover),
-                Port("force", 1, "N", "", "force of the surface on the tool along its normal"),
-            ]
-        )
-
-    @cached_property
-    def actuators(self) -> Layout:
-        """What lags its command, all servos: the limiter's state."""
-        hover = tuple(self.full.hover_servo)
-        return Layout([Port("servo", self.full.servos, "rad", "", "actual servo angles", default=hover)])
-
-    @cached_property
-    def control(self) -> Layout:
-        """Layout of u."""
-        return Layout(
-            [
-                Port("thrust", 1, "N", "B", "total thrust along z", default=(self.hover_thrust,)),
-                Port("torque", 3, "N m", "B", "torque on the base, about its origin", default=tuple(self.hover_torque)),
-                Port("joint_rate", self.joints, "rad/s", "", "rates of the joint angles"),
-                Port("force_rate", 1, "N/s", "", "rate of the force"),
-            ]
-        )
-
-    @cached_property
-    def commands(self) -> Layout:
-        """Layout of what is sent: references of the attitude law, and servo commands."""
-        attitude = tuple(self.state.unpack(self.hover_state)["q_WB"])
-        thrust, torque = (self.hover_thrust,), tuple(self.hover_torque)
-        return Layout(
-            [
-                Port("lift_r", 1, "N", "B", "total thrust along z", default=thrust),
-                Port("q_WB_r", 4, "1", "W", "attitude of the base", kind="quaternion", default=attitude),
-                Port("w_B_r", 3, "rad/s", "B", "angular velocity of the base"),
-                Port("tau_B_r", 3, "N m", "B", "torque on the base, about its origin", default=torque),
-                Port("servo_r", self.full.servos, "rad", "", "servo angles", default=tuple(self.full.hover_servo)),
-            ]
-        )
-
-    @cached_property
-    def disturbance(self) -> Layout:
-        """Layout of p."""
-        return Layout(
-            [
-                Port("f_ext_W", 3, "N", "W", "force of the environment on the base, at its origin"),
-                Port("tau_ext_B", 3, "N m", "B", "torque of the environment on the base, about its origin"),
-                Port("n_W", 3, "1", "W", "normal of the surface that the tool touches, towards the robot"),
-            ]
-        )
-
-    # parts
-
-    @property
-    def passive(self) -> int:
-        """Number of passive joints."""
-        return self.full.passive
-
-    @cached_property
-    def working(self) -> Array:
-        """Where the working arms' joints stand in `servo`, shape (4 a,)."""
-        return np.concatenate([np.arange(self.full.servos)[self.full.arm_slice(name)] for name in self.arms])
-
-    @property
-    def joints(self) -> int:
-        """Number of joints of the working arms."""
-        return len(self.working)
-
-    @property
-    def tools(self) -> int:
-        """Coordinates of the working arms' tools."""
-        return 3 * len(self.arms)
-
-    @cached_property
-    def elbows(self) -> list[int]:
-        """Where each working arm's last joint stands in `joint`."""
-        ends = np.cumsum([len(self.full.arm(name).joints) for name in self.arms])
-        return [int(end) - 1 for end in ends]
-
-    @cached_property
-    def capabilities(self) -> frozenset[str]:
-        """Those of the whole robot, and that arms follow quasi-statically."""
-        return self.full.capabilities | {"quasi_static"}
-
-    # hover
-
-    @property
-    def _hover_passive(self) -> tuple[float, ...]:
-        return tuple(float(v) for v in self.full.hover_joint[: self.passive])
-
-    @cached_property
-    def hover_wrench(self) -> Array:
-        """Force and torque about the base's origin of the rotors at hover, in B, shape (6,)."""
-        return np.concatenate([v.full().ravel() for v in self.full.rotor_wrench(ca.DM(self.robot.hover_thrust))])
-
-    @property
-    def hover_thrust(self) -> float:
-        """Total thrust at hover, N."""
-        return float(self.hover_wrench[2])
-
-    @property
-    def hover_torque(self) -> Array:
-        """Torque on the base at hover, N m in B, shape (3,)."""
-        dust = np.abs(self.hover_wrench[3:]) < 1e-12 * self.hover_thrust
-        return np.where(dust, 0.0, self.hover_wrench[3:])
-
-    @property
-    def hover_control(self) -> Array:
-        """Control that holds the robot at hover, shape (nu,)."""
-        return self.control.default
-
-    # limits, as (lower, upper)
-
-    @cached_property
-    def _headroom(self) -> float:
-        """Thrust by which every rotor can change at hover, N."""
-        lower, upper = self.full.thrust_limits
-        return float(np.minimum(self.robot.hover_thrust - lower, upper - self.robot.hover_thrust).min())
-
-    @cached_property
-    def thrust_limits(self) -> tuple[Array, Array]:
-        """Lowest and highest total thrust, N, shape (1,); every rotor has room for any torque within its limits."""
-        change = np.array([_SHARE_THRUST * self._headroom / np.abs(self.mixer[:, 0]).max()])
-        return self.hover_thrust - change, self.hover_thrust + change
-
-    @cached_property
-    def torque_limits(self) -> Array:
-        """Largest change of the torque from that of hover, N m in B, shape (3,)."""
-        return np.array(_SHARE_TORQUE) * self._headroom / np.abs(self.mixer[:, 1:]).max(axis=0)
-
-    @cached_property
-    def mixer(self) -> Array:
-        """Rotor thrusts (n, 4) for total thrust and torque: least squares."""
-        matrix = allocation(self.robot)  # about the centre of mass
-        torque = matrix[3:] + np.cross(self.robot.p_BC, matrix[:3], axisb=0, axisc=0)
-        return np.asarray(np.linalg.pinv(np.vstack([matrix[2:3], torque])))
-
-    @cached_property
-    def joint_limits(self) -> tuple[Array, Array]:
-        """Lowest and highest joint angles of the working arms, rad."""
-        lower, upper = self.full.joint_limits
-        return lower[self.working], upper[self.working]
-
-    @cached_property
-    def servo_limits(self) -> tuple[Array, Array]:
-        """Lowest and highest servo angles of the working arms, rad."""
-        lower, upper = self.full.servo_limits
-        return lower[self.working], upper[self.working]
-
-    @cached_property
-    def servo_rate_limits(self) -> tuple[Array, Array]:
-        """Lowest and highest servo rates of the working arms, rad/s."""
-        lower, upper = self.full.servo_rate_limits
-        return lower[self.working], upper[self.working]
-
-    @cached_property
-    def stiffness(self) -> Array:
-        """Joint stiffnesses of the working arms, N m/rad."""
-        return self.full.stiffness[self.working]
-
-    @cached_property
-    def servo_time_constant(self) -> float:
-        """The slowest servo lag of the working arms, s."""
-        return float(self.full.servo_time_constants[self.working].max())
+class Reduced(ReducedInterface):
+    """The interface of `Model` for prediction; made by `reduced_of`."""
 
     # equations
 
@@ -330,10 +147,29 @@ class Reduced(Model):
         found = solve_from_the_leaves(ca.densify(ca.jacobian(gap, nu)), -at_zero)
         return ca.mtimes(R_WB, found[0:3]) - ca.DM([0, 0, self.robot.gravity]), found[3:6], found[6:]
 
-    def arms_at(self, x: Any) -> Arms:
-        """How the working arms of x stand."""
-        joint = self.state.split(x)["joint"]
-        return Arms(self.hanging(joint), self.tools_at_zero(joint)[0])
+    def arms_at(self, x: Any, about: Any = None) -> Arms:
+        """How the working arms of x stand; their recoil as if they stood as in `about`, which is x if left out."""
+        joint, k = self.state.split(x)["joint"], 6 + self.passive
+        M = self.full.bodies.mass_matrix(self.all_joints(x if about is None else about))
+        moved = M[:k, [k + i for i in self.working.tolist()]]
+        return Arms(self.hanging(joint), self.tools_at_zero(joint)[0], M[:k, :k], moved)
+
+    def recoil(self, arms: Arms, joint_rate: Any) -> Any:
+        """Velocity [v_B; w_B; passive] that base and passive joint lose while the arms move, (6 + k,).
+
+        The velocities of the state are those with the arms stopped, M^-1 of the momentum: what stops the arms acts
+        between bodies of the robot, so that joint rates may jump, and no acceleration of the arms is needed.
+        """
+        return solve_from_the_leaves(ca.densify(arms.mass), ca.mtimes(arms.coupling, joint_rate))
+
+    def stopped(self, x: Any, joint_rate: Any) -> Any:
+        """The state of a robot whose base and passive joint move as in x while the arms move."""
+        s, lost = self.state.split(x), self.recoil(self.arms_at(x), joint_rate)
+        s["v_WB"] = s["v_WB"] + ca.mtimes(so3.rotation(s["q_WB"]), lost[0:3])
+        s["w_B"] = s["w_B"] + lost[3:6]
+        if self.passive:
+            s["passive_rate"] = s["passive_rate"] + lost[6:]
+        return ca.vertcat(*[s[port.name] for port in self.state])
 
     def _swing(self, x: Any) -> Any:
         """Rotation by the passive joint's angle."""
@@ -358,11 +194,14 @@ class Reduced(Model):
 
     def derivative(self, x: Any, u: Any, p: Any, arms: Arms | None = None) -> Any:
         """dx/dt for the controls u and the parameter p; `arms` as in `motion`."""
+        arms = arms or self.arms_at(x)
         s, c = self.state.split(x), self.control.split(u)
         a_WB, dw_B, ddq = self.motion(x, u, p, arms)
-        swing = (s["passive_rate"], ddq) if self.passive else ()
-        turn = so3.quaternion_rate(s["q_WB"], s["w_B"])
-        return ca.vertcat(s["v_WB"], turn, a_WB, dw_B, *swing, c["joint_rate"], c["force_rate"])
+        lost = self.recoil(arms, c["joint_rate"])
+        v_WB = s["v_WB"] - ca.mtimes(so3.rotation(s["q_WB"]), lost[0:3])
+        turn = so3.quaternion_rate(s["q_WB"], s["w_B"] - lost[3:6])
+        swing = (s["passive_rate"] - lost[6:], ddq) if self.passive else ()
+        return ca.vertcat(v_WB, turn, a_WB, dw_B, *swing, c["joint_rate"], c["force_rate"])
 
     def loads(self, x: Any, n_W: Any) -> Any:
         """Torques that hold passive joint and working arms at rest against gravity and force, N m, (k + 4 a,).
@@ -422,8 +261,9 @@ class Reduced(Model):
         p = ca.DM(self.disturbance.pack({"n_W": [0, 0, -1]})) if p is None else p
         s, c, n_W = self.state.split(x), self.control.split(u), self.disturbance.split(p)["n_W"]
         slope = self.derivative(x, u, p)
-        w_B = s["w_B"] + lead * slope[self.state.slice("w_B")]
-        q_WB = so3.unit(so3.retract(s["q_WB"], lead * (s["w_B"] + w_B) / 2))
+        turning = s["w_B"] - self.recoil(self.arms_at(x), c["joint_rate"])[3:6]
+        w_B = turning + lead * slope[self.state.slice("w_B")]
+        q_WB = so3.unit(so3.retract(s["q_WB"], lead * (turning + w_B) / 2))
         servo = self.holding_servo(x, n_W)
         lag = ca.DM(self.full.servo_time_constants[self.working])
         servos = ca.SX(ca.DM(self.full.hover_servo))

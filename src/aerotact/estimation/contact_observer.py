@@ -67,7 +67,7 @@ def contact_observer(model: Model, rate: float) -> Block:
     lost_time = b.parameter("lost_time", 1, "s", 0.2, doc="for which it must stay below", lower=0.0)
 
     settle_time = b.parameter(
-        "settle_time", 1, "s", 0.04, doc="of unbroken force after which the tip counts as resting", lower=0.0
+        "settle_time", 1, "s", 0.02, doc="of unbroken force after which the tip counts as resting", lower=0.0
     )
 
     started = b.state("started", 1, "1", kind="flag", doc="1 after the first step") > 0

@@ -97,8 +97,8 @@ def add_arm_state(b: BlockBuilder, model: Reduced, rate: float, n_W: Any, wanted
     touched = b.state("contact", 1, "1", kind="flag", doc="1 from contact on while a force is wanted") > 0
     pushing = ca.logic_and(wanted, ca.logic_or(touched, force > touch))
     b.update("contact", pushing)
-    x = state(joint, pushing * force)
     b.update("load", pushing * force)
+    x = model.stopped(state(joint, pushing * force), _rate(b, model, rate, joint))
     f_ext, tau_ext = _rest(b, model, rate, x, f_all, tau_all, n_W)
     return ArmState(x, force, pushing, touched, f_ext, tau_ext, servo)
 
@@ -114,6 +114,15 @@ def _encoders(b: BlockBuilder, model: Reduced) -> tuple[list[int], Any]:
     names = [joint.name for joint in model.full.arm(model.arms[0]).joints]
     chosen = [i for i, name in enumerate(entry.joints) if name in names]
     return [names.index(entry.joints[i]) for i in chosen], measured[chosen]
+
+
+def _rate(b: BlockBuilder, model: Reduced, rate: float, joint: Any) -> Any:
+    """Rates of the working arms' joints over the last period; none in the first."""
+    before = b.state("joint", model.joints, "rad", doc="joint angles one period ago")
+    seen = b.state("moved", 1, "1", kind="flag", doc="1 after the first period") > 0
+    b.update("joint", joint)
+    b.update("moved", 1)
+    return ca.if_else(seen, (joint - before) * rate, 0)
 
 
 def _swing(b: BlockBuilder, model: Reduced, rate: float) -> Sequence[Any]:

@@ -39,7 +39,7 @@ def _ports(model: Reduced) -> tuple[Port, ...]:
 
 
 def add_arm_targets(
-    b: BlockBuilder, model: Reduced, times: list[float], rate: float
+    b: BlockBuilder, model: Reduced, times: list[float], rate: float, delay: float = 0.0
 ) -> tuple[Any, list[list[Any]], Layout, list[tuple[Port, Any]]]:
     """Declare ports, parameters and memory, and compute the targets.
 
@@ -48,6 +48,7 @@ def add_arm_targets(
         model: the predictor.
         times: nodes, s.
         rate: Hz.
+        delay: s from the measurement to x_0, through which the robot is predicted as held.
 
     Returns:
         x_0, the stage parameters of every node, their layout, telemetry.
@@ -125,7 +126,27 @@ def add_arm_targets(
         (Port("f_ext_est_W", 3, "N", "W", "estimated force on the base"), now.f_ext_W),
         (Port("tau_ext_est_B", 3, "N m", "B", "estimated torque on the base"), now.tau_ext_B),
     ]
-    return now.x, columns, Layout(ports), telemetry
+    if not delay:
+        return now.x, columns, Layout(ports), telemetry
+    first_column = dict(zip((port.name for port in ports), columns[0], strict=True))
+    holding = ca.vertcat(first_column["thrust_trim"], first_column["torque_trim"], ca.SX.zeros(model.joints + 1))
+    x0 = _ahead(model, now.x, holding, ca.vertcat(now.f_ext_W, now.tau_ext_B, n_W), delay)
+    return x0, columns, Layout(ports), telemetry
+
+
+def _ahead(model: Reduced, x: Any, u: Any, p: Any, time: float) -> Any:
+    """x after `time` s under held controls, one Runge-Kutta step of order four."""
+    arms = model.arms_at(x)
+
+    def slope(state: Any) -> Any:
+        return model.derivative(state, u, p, arms)
+
+    k1 = slope(x)
+    k2 = slope(x + time / 2 * k1)
+    k3 = slope(x + time / 2 * k2)
+    k4 = slope(x + time * k3)
+    after = x + time / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.vertcat(after[0:3], so3.unit(after[3:7]), after[7:])
 
 
 def _reference(b: BlockBuilder, name: str, unit: str, doc: str, nodes: int, default: Any = (0.0, 0.0, 0.0)) -> Any:
@@ -142,8 +163,10 @@ def _goals(b: BlockBuilder, model: Reduced, name: str, base: Any, yaw: Any, node
     p_d = _reference(b, f"p_{name}_d", "m", f"goal of arm '{name}' in W", nodes)
     r_d = b.reference(f"r_{name}_d", 3, "m", doc=f"goal of arm '{name}' in frame i", nodes=nodes, default=start)
     in_W = b.reference(f"in_W_{name}", 1, "1", kind="flag", doc="1 if the goal in W counts, 0 if that in frame i")
+    steered = b.reference(f"operated_{name}", 1, "1", kind="flag", doc="1 while an operator gives that in W")
     standing = [arm.from_shoulder(base[:, k], _heading(yaw[k]), swing, r_d[:, k]) for k in range(nodes)]
-    return ca.horzcat(*[ca.if_else(in_W > 0, p_d[:, k], there) for k, there in enumerate(standing)])
+    there = ca.logic_or(in_W > 0, steered > 0)
+    return ca.horzcat(*[ca.if_else(there, p_d[:, k], beside) for k, beside in enumerate(standing)])
 
 
 def _limited(start: Any, goal: Any, change: Any) -> Any:

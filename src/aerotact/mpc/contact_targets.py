@@ -90,7 +90,7 @@ def add_contact(
     fast = b.parameter("approach_limit", 1, "m/s", 0.08, doc="highest speed of approach", lower=0.0)
     reach = b.parameter("reach", 1, "m", 0.2, doc="distance within which a force is striven for", lower=0.0)
     force_rate = b.parameter("force_rate", 1, "N/s", 200.0, doc="highest rate of the force wanted", lower=0.0)
-    preload = b.parameter("preload", 1, "N", 0.5, doc="force wanted when contact is made", lower=0.0)
+    preload = b.parameter("preload", 1, "N", 1.0, doc="force wanted when contact is made", lower=0.0)
 
     span = Span(
         b.parameter("d_min", 1, "m", 0.2, doc="distance up to which the impedance is that of the wall", lower=0.0),

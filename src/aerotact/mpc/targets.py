@@ -162,7 +162,7 @@ def make_targets(
     if isinstance(model, Reduced):
         for port in weights:
             b.parameter(port.name, port.size, port.unit, port.default, doc=port.doc, lower=0.0)
-        return _closed(b, *add_arm_targets(b, model, times, rate))
+        return _closed(b, *add_arm_targets(b, model, times, rate, delay / rate))
     x = ca.vertcat(
         b.measurement("p_WB", 3, "m", frame="W", doc="position of the base"),
         b.measurement("q_WB", 4, "1", frame="W", doc="attitude of the base", kind="quaternion"),

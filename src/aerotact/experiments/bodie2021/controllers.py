@@ -1,5 +1,7 @@
 """Controllers of bodie2021's experiments: the paper's gains (Table IV), the same law tuned, and an MPC."""
 
+from collections.abc import Mapping
+
 from aerotact.experiments.experiment import ControllerSpec, Parameters
 
 LAW, RATE = "bodie2021_impedance_force", 200.0
@@ -50,18 +52,23 @@ TUNED: dict[str, float] = {
 
 
 def controllers(
-    letter: str, tuned: Parameters | None = None, mpc: Parameters | None = None, law: Parameters | None = None
+    letter: str,
+    tuned: Parameters | None = None,
+    mpc: Parameters | None = None,
+    law: Parameters | None = None,
+    estimators: Mapping[str, Parameters] | None = None,
 ) -> dict[str, ControllerSpec]:
     """The two laws and the MPC for one of the paper's experiments.
 
     Args:
         letter: A to F, the experiment whose row of Table IV counts.
         tuned, mpc, law: parameters of theirs that this experiment sets.
+        estimators: estimator -> parameters that go with the MPC.
     """
     paper = {**TABLE_IV[letter], **(law or {})}
     high = {**paper, **TUNED, **(tuned or {})}
     return {
         "law": ControllerSpec(LAW, RATE, f"the paper's law with its gains of Table IV, experiment {letter}", paper),
         "law-tuned": ControllerSpec(LAW, RATE, "the same law: higher gains and a limit of the approach's speed", high),
-        "mpc": ControllerSpec(MPC, None, "hybrid force and pose control under limits", mpc or {}),
+        "mpc": ControllerSpec(MPC, None, "hybrid force and pose control under limits", mpc or {}, estimators or {}),
     }

@@ -155,7 +155,8 @@ def _stiffness(experiment: Pushed, runs: Mapping[tuple[str, str], Mapping[str, A
         axis.bar([names.index(n) + number * width for n in found], slopes, width, color=colour, label=controller)
     axis.set_xticks(places + width * len(labels) / 2, names)
     axis.axhline(0, color="k", lw=0.6)
-    label(axis, "s: stick, w: wall", "k in N/m", "row of Table V")
+    axis.set_yscale("symlog", linthresh=20.0)
+    label(axis, "s: stick, w: wall; linear below 20 N/m, logarithmic above", "k in N/m", "row of Table V")
     return save(figure, folder / "table5.png")
 
 

@@ -32,6 +32,8 @@ AWAY, END = 29.5, 30.0  # s
 BACK = 0.15  # m, of the retreat
 IMPEDANCE_DEPTH = 0.04  # m, of the set-point behind the board where no force is wanted
 YAW = 10.0  # degrees
+MPC_GAINS = {"weight_tilt_rate": 2e-4}
+"""Of the MPC: servos turn more freely, against the wrench noise."""
 # A closed curve of 0.7 m x 0.4 m that crosses itself, as across and up from where the tool hovers, m.
 _CURVE = np.array(
     [
@@ -89,7 +91,9 @@ class PushAndSlide:
     robot: str = "tilt_rotor"
     world: str = "whiteboard"
     seeds: int = 5
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: controllers("D"))
+    controllers: Mapping[str, ControllerSpec] = field(
+        default_factory=lambda: controllers("D", mpc=MPC_GAINS, estimators={"contact_observer": {"L_normal": 150.0}})
+    )
     cases: tuple[Case, ...] = tuple(map(_case, FORCES))
     paper: Mapping[str, PaperNumber] = field(default_factory=_paper)
 

@@ -37,6 +37,9 @@ RAMP = (11.0, 12.5)  # s, of the force
 GUST = 15.0  # s, when the wind begins
 END = 21.0  # s
 JUDGED = (GUST + 1.0, END)  # s
+MPC_GAINS = {"weight_tilt_rate": 1e-2}
+"""Of the MPC: the push has a lever arm, so that a newton of the rotors moves the wall's force by a quarter of one only;
+fast servos would shake the tip."""
 _RANGE = 'ctrlrange="0.2 20"'
 
 
@@ -76,7 +79,13 @@ class Saturation:
     world: str = "wall"
     seeds: int = 5
     controllers: Mapping[str, ControllerSpec] = field(
-        default_factory=lambda: controllers("D", {"K_ang": 30.0, "D_ang": 4.0}, law={"K_ang": 20.0, "D_ang": 3.5})
+        default_factory=lambda: controllers(
+            "D",
+            {"K_ang": 30.0, "D_ang": 4.0},
+            mpc=MPC_GAINS,
+            law={"K_ang": 20.0, "D_ang": 3.5},
+            estimators={"contact_observer": {"L_normal": 40.0}},
+        )
     )
     cases: tuple[Case, ...] = (Case("push", "20 N, wind from 15 s on", END, JUDGED),)
     paper: Mapping[str, PaperNumber] = field(default_factory=dict)

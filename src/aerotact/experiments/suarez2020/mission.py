@@ -161,6 +161,7 @@ class Mission:
                 f"f_{name}_d": task.force_W,
                 f"load_{name}": (task.load,),
             }
+        said["f_tools_W_r"] = (0.0,) * (3 * len(self._kinematics))
         said |= {"phase": (float(self.phase.number),), "mission_failed": (float(self.failed > 0),)}
         return {name: np.asarray(value, dtype=float) for name, value in said.items()}
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
-from aerotact.experiments.suarez2020.controllers import PLATFORM
+from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, with_arms
 from aerotact.experiments.suarez2020.mission import ArmTask, Mission, Phase, Vector
 from aerotact.log import Log
@@ -120,7 +120,7 @@ class SensorInstallation:
     robot: str = LONG_REACH
     world: str = "pipe"
     seeds: int = 10
-    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"law": LAW})
+    controllers: Mapping[str, ControllerSpec] = field(default_factory=lambda: {"law": LAW, "mpc": MPC})
     cases: tuple[Case, ...] = (
         Case("first", "upwards, in the L-shaped pose (Figs. 27-29)", END, JUDGED),
         Case("second", "upwards, the arm almost stretched (Figs. 30-31)", END, JUDGED),

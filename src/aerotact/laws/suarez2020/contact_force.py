@@ -14,7 +14,7 @@ import casadi as ca
 from aerotact.dynamics.arm_kinematics import ArmKinematics
 from aerotact.ports import BlockBuilder
 
-DAMPING = 0.01
+DAMPING = 0.005
 """Singular values of the Jacobian, m, below which the least squares are damped."""
 
 LEAST_FELT = 0.25
@@ -56,8 +56,8 @@ def cartesian_deflection(kinematics: ArmKinematics, theta: Any, q: Any) -> Any:
 def force_of_deflection(kinematics: ArmKinematics, theta: Any, q: Any, up: Any, joints: Sequence[int]) -> Any:
     """Force on the environment, (3,), from the Cartesian deflection: (26), (27) mended.
 
-    What gravity deflects is taken off first. J^-1 of (27), which brings the deflection back to the joints, is taken
-    midway between the two poses; J^-T, the statics, at the links.
+    What gravity deflects is taken off first. J^-1 of (27), which brings the deflection back to the joints, is that of
+    the mean Jacobian between the two poses (Simpson's rule); J^-T, the statics, that of the links.
 
     Args:
         kinematics: of the arm.
@@ -70,8 +70,9 @@ def force_of_deflection(kinematics: ArmKinematics, theta: Any, q: Any, up: Any, 
     hanging = kinematics.gravity_torque(q, up) / ca.DM(kinematics.stiffness)
     loaded = ca.vertcat(*[q[j] + hanging[j] if j in chosen else theta[j] for j in range(4)])
     lengths = cartesian_deflection(kinematics, theta, loaded)
-    middle = kinematics.jacobian((theta + loaded) / 2)[:, chosen]
-    angles = ca.mtimes(_damped(ca.mtimes(middle.T, middle)), ca.mtimes(middle.T, lengths))
+    poses = ((loaded, 1 / 6), ((theta + loaded) / 2, 4 / 6), (theta, 1 / 6))
+    mean = sum((share * kinematics.jacobian(pose)[:, chosen] for pose, share in poses), ca.DM.zeros(3, len(chosen)))
+    angles = ca.mtimes(_damped(ca.mtimes(mean.T, mean)), ca.mtimes(mean.T, lengths))
     torque = ca.DM(kinematics.stiffness[chosen]) * angles
     J = kinematics.jacobian(q)[:, chosen]
     return ca.mtimes(J, ca.mtimes(_damped(ca.mtimes(J.T, J)), torque))
