@@ -32,7 +32,7 @@ class Inspected(Controller):
             },
             **{"fallback_state": (ocp.fallback.state.size,)},
             **{"qp_data.lbu": (N, nu), "qp_data.ubu": (N, nu)},
-            **{"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)},
+            **({"qp_data.lbx": (N + 1, bounded), "qp_data.ubx": (N + 1, bounded)} if bounded else {}),
             **{f"qp_workspace.{a}": (N, -1) for a in ("G", "gain", "c")},
             **{f"qp_workspace.{a}": (N + 1, -1) for a in ("hv", "q")},
             **{"qp_solution.x": (N + 1, ndx), "qp_solution.u": (N, nu)},
