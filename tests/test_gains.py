@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from aerotact.dynamics.model import Model
+from aerotact.dynamics.model_of import model_of
 from aerotact.estimation import estimators
 from aerotact.exceptions import MissingCapability, RobotError
 from aerotact.laws import laws
+from aerotact.resources import robot_folders
+from aerotact.robot import load_robot
 from aerotact.robot_file import Quantity
 
 
@@ -19,21 +22,22 @@ def _with_gains(model: Model, **gains: Quantity) -> Model:
     return Model(replace(robot, file=file))
 
 
-def test_every_block_has_the_name_it_is_found_by(hexarotor: Model, tilting: Model) -> None:
+def test_every_block_has_the_name_it_is_found_by() -> None:
+    models = [model_of(load_robot(folder)) for folder in robot_folders().values()]
     found = {**laws(), **estimators()}
     assert {"ryll2019_admittance", "ryll2019_pose_control", "wrench_observer", "state_estimator"} <= set(found)
-    built = 0
-    for (name, build), model in product(found.items(), (hexarotor, tilting)):
+    built = set()
+    for (name, build), model in product(found.items(), models):
         try:
             block = build(model, 500.0)
         except MissingCapability:
             continue
-        built += 1
+        built.add(name)
         assert block.name == name
         assert block.rate == 500.0
         for layout in (block.state, block.measurement, block.reference, block.parameters, block.output):
             assert all(port.unit for port in layout)
-    assert built >= len(found)
+    assert built == set(found)  # each fits a robot
 
 
 def test_gains_become_defaults(hexarotor: Model) -> None:

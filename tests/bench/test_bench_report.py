@@ -155,10 +155,13 @@ def test_without_hpipm_the_others_race(problem: Problem, monkeypatch: pytest.Mon
     assert skipped[0].startswith("hpipm: skipped, the library hpipm was not found")
 
 
-@pytest.mark.parametrize("robot", ["tilt_hex", "tilt_rotor", "dual_arm_standard"])
-def test_laws_and_estimators_take_microseconds(robot: str) -> None:
+@pytest.mark.parametrize(
+    ("robot", "observer"),
+    [("tilt_hex", "momentum_observer"), ("tilt_rotor", "momentum_observer"), ("dual_arm_standard", "multibody_observer")],
+)
+def test_laws_and_estimators_take_microseconds(robot: str, observer: str) -> None:
     blocks = time_blocks(model_of(load_robot(robot)))
-    assert {"state_estimator", "momentum_observer"} <= blocks.keys()
+    assert {"state_estimator", observer} <= blocks.keys()
     for block in blocks.values():
         assert block["usable"]
         assert 0 < block["p50_us"] < 1000

@@ -83,7 +83,7 @@ def test_mpc_equals_casadi(ocp: Ocp, mpc_c: CProject, native: Callable[[CProject
         "retract": (ocp.retract, lambda: [state(), rng.normal(size=model.tangent_size)]),
         "difference": (ocp.difference, lambda: [state(), state()]),
         "rest": (ocp.rest, lambda: [state()]),
-        "command": (ocp.command, lambda: [state(), control()]),
+        "command": (ocp.command, lambda: [state(), control(), stage()]),
         "limit": (limit_function(limiter), lambda: [state()[13:], rng.uniform(-5.0, 30.0, model.rotors)]),
         "fallback": (fallback.step, block_inputs(fallback)),
     }

@@ -118,5 +118,5 @@ class Inspected(Controller):
     def hover(self, ocp: Ocp) -> None:
         """Measurements of the robot at rest in its hover keyframe."""
         for name, value in ocp.model.state.unpack(ocp.model.hover_state).items():
-            if name in self.measurement:
+            if name in self.measurement and self.measurement[name].shape == value.shape:
                 self.measurement[name][:] = value

@@ -87,9 +87,9 @@ def _ipopt(ocp: Ocp, stage: Array, x0: Array) -> tuple[Array, float]:
     return np.array([ocp.retract(rest, d).full().ravel() for d in changes]), float(found["f"])
 
 
-@pytest.mark.parametrize("offset", [0.01, 0.4])
+@pytest.mark.parametrize("offset", [0.01, 0.2])
 def test_converged_iteration_equals_ipopt(arms: Ocp, offset: float) -> None:
-    """Near hover nothing is active; 0.4 m away torques and the rows of joints, servos and springs are."""
+    """Near hover nothing is active; 0.2 m away torques and the rows of joints, servos and springs are."""
     mpc = _hover(arms)
     mpc.measurement["p_WB"][:2] += [offset, -offset]
     mpc.configure(startup_iterations=ITERATIONS)
@@ -99,9 +99,9 @@ def test_converged_iteration_equals_ipopt(arms: Ocp, offset: float) -> None:
     bounds = arms.bounds
     active = np.isclose(u[:, torque], bounds.u_upper[torque]) | np.isclose(u[:, torque], bounds.u_lower[torque])
     assert active.any() == (offset > 0.1)
-    np.testing.assert_allclose(mpc.fields["plan_x"][1:, :3], states[:, :3], atol=2e-5)
+    np.testing.assert_allclose(mpc.fields["plan_x"][1:, :3], states[:, :3], atol=1e-6)
     joint = _model(arms).state.slice("joint")
-    np.testing.assert_allclose(mpc.fields["plan_x"][1:, joint], states[:, joint], atol=2e-4)
+    np.testing.assert_allclose(mpc.fields["plan_x"][1:, joint], states[:, joint], atol=1e-5)
     assert cost > 0.0
 
 
@@ -116,16 +116,21 @@ def test_compiled_command_equals_casadi(arms: Ocp) -> None:
 
 
 def test_hover_is_kept(arms: Ocp) -> None:
+    """What deflects the springs beyond the static load counts as steady after some seconds of `yielding`."""
     mpc, model = _hover(arms), _model(arms)
-    for _ in range(5):
+    for _ in range(100):
         assert mpc.step() is Status.OK
     for port in model.commands:
         np.testing.assert_allclose(mpc.output[port.name], port.default, atol=1e-3)
 
 
 def test_force_is_felt_through_the_springs(arms: Ocp) -> None:
-    """Deflections that a push of 2 N would leave are told as 2 N, and the tool counts as in contact."""
+    """Deflections that a push of 2 N would leave are told as 2 N, and the tool counts as in contact.
+
+    In one period and with hardly a filter: the plan then moves the servos, and these deflections are no longer those of 2 N.
+    """
     model, mpc = _model(arms), _hover(arms)
+    mpc.set_parameters({"force_filter": 50.0})
     full, name, n_W = model.full, model.arms[0], np.array([0.0, 0.0, -1.0])
     x = ca.SX(ca.DM(model.hover_state))
     J = ca.evalf(model.tool_jacobian(x)).full()[:, model.passive : model.passive + 4]
@@ -134,8 +139,7 @@ def test_force_is_felt_through_the_springs(arms: Ocp) -> None:
         assert mpc.step() is Status.OK
     mpc.reference[f"f_{name}_d"][:] = -2.0 * n_W
     mpc.measurement["deflection_measured"][:] -= push[[0, 3]]
-    for _ in range(10):
-        assert mpc.step() is Status.OK
+    assert mpc.step() is Status.OK
     assert mpc.output["force_est"][0] == pytest.approx(2.0, abs=0.1)
     assert mpc.output["pushing"][0] == 1.0
 

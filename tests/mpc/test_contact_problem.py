@@ -52,9 +52,10 @@ def test_a_push_ends_with_the_rotors_force_on_the_wall(ocp: Ocp, mpc: Inspected)
     mpc.measurement["normal_force"][:] = 0.5
     mpc.reference["f_ref"][:] = 5.0
     mpc.configure(startup_iterations=1)
-    for k in range(60):  # periods at the same place: the force wanted rises at its rate
+    for k in range(60):  # periods at the same place: the force wanted rises at its rate, and the wall takes it
         # A cold start in contact is far from its plan: there, full steps may end a programme early.
         assert mpc.step() in ((Status.OK, Status.MAX_ITERATIONS) if k < 3 else (Status.OK,))
+        mpc.measurement["normal_force"][:] = mpc.output["f_push"]
     assert mpc.output["pushing"] == 1
     assert mpc.output["f_push"] == pytest.approx(5.0)
     x = mpc.fields["plan_x"]
@@ -80,8 +81,9 @@ def test_the_approach_is_planned_within_its_speed(ocp: Ocp, mpc: Inspected, dist
         tip.append(float(ocp.model.tool_pose(ca.DM(row))[0][0]))
         speed.append(float(ocp.model.tool_twist(ca.DM(row))[0][0]))
     gap = distance - (np.array(tip) - tip[0])
-    allowed = 0.004 + np.maximum(gap, 0.0)
-    assert (np.array(speed) < allowed + 2e-3).all()
+    margin = ocp.parameters.unpack(ocp.parameters.default)["approach_margin"]
+    allowed = 0.004 + margin + np.maximum(gap, 0.0)
+    assert (np.array(speed) < allowed + 1e-3).all()
     assert gap[-1] < 0.9 * distance
     assert gap.min() > -2e-3
 

@@ -147,10 +147,10 @@ class Reduced(ReducedInterface):
         found = solve_from_the_leaves(ca.densify(ca.jacobian(gap, nu)), -at_zero)
         return ca.mtimes(R_WB, found[0:3]) - ca.DM([0, 0, self.robot.gravity]), found[3:6], found[6:]
 
-    def arms_at(self, x: Any, about: Any = None) -> Arms:
-        """How the working arms of x stand; their recoil as if they stood as in `about`, which is x if left out."""
+    def arms_at(self, x: Any) -> Arms:
+        """How the working arms of x stand."""
         joint, k = self.state.split(x)["joint"], 6 + self.passive
-        M = self.full.bodies.mass_matrix(self.all_joints(x if about is None else about))
+        M = self.full.bodies.mass_matrix(self.all_joints(x))
         moved = M[:k, [k + i for i in self.working.tolist()]]
         return Arms(self.hanging(joint), self.tools_at_zero(joint)[0], M[:k, :k], moved)
 

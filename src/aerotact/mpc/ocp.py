@@ -196,8 +196,8 @@ def _state(path: Path, file: ProblemFile, model: Model, targets: Targets, residu
     def motion(x: Any, rate: Any, stage: Any) -> Any:
         return prediction.derivative(model, x, rate, targets.stage.split(stage))
 
-    def within(start: Any, about: Any) -> Callable[[Any, Any, Any], Any]:
-        arms = model.arms_at(start, about) if isinstance(model, Reduced) else None
+    def within(start: Any) -> Callable[[Any, Any, Any], Any]:
+        arms = model.arms_at(start) if isinstance(model, Reduced) else None
         return lambda x, rate, stage: prediction.derivative(model, x, rate, targets.stage.split(stage), arms)
 
     def command(x: Any, u: Any, stage: Any) -> Any:

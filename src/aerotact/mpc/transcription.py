@@ -33,8 +33,7 @@ class Statement:
         gains: change of an integrated control per unit in each interval, s, shape (N, nu): the interval's length, or
             less where a held command acts through a lag.
         derivative: (x, rate, stage) -> dx/dt, with rate = u * gain / h.
-        within: x at the start of an interval, x about which is linearised -> derivative within it, where slow parts are
-            held; what depends on the second is not differentiated. None holds nothing.
+        within: x at the start of an interval -> derivative within it, where slow parts are held; None holds nothing.
         retract: (x, dx) -> x; local: (x_from, x_to) -> dx; rest: x -> the same pose at rest, where a cold start begins.
         terms: (x, u, stage, parameters) -> residuals and their weights.
         terminal_terms: (x, stage, parameters) -> residuals and their weights, the latter times seconds.
@@ -62,7 +61,7 @@ class Statement:
     bounds: Bounds
     damping: float
     rows: Rows = NO_ROWS
-    within: Callable[[Any, Any], Callable[[Any, Any, Any], Any]] | None = None
+    within: Callable[[Any], Callable[[Any, Any, Any], Any]] | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,7 @@ def transcribe(s: Statement) -> Transcription:
 
     def phi(state: Any, control: Any) -> Any:
         change = control * gain
-        slope_of = s.within(state, x) if s.within else s.derivative
+        slope_of = s.within(state) if s.within else s.derivative
 
         def moved(share: float, slope: Any) -> Any:
             after = state + share * h * slope
