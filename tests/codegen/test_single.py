@@ -247,12 +247,14 @@ def test_free_flight_is_tracked(tmp_path: Path, hexarotor_ocp: Ocp) -> None:
 def test_sine_cosine_exponential_and_logarithm_are_those_of_the_library(width: int, run_c: Callable[..., str]) -> None:
     rng = np.random.default_rng(13)
     angles = [rng.uniform(-s, s, 500) for s in (1e-3, 1.0, 10.0, 1e3, 8e3, 1e5)]
-    edges = [0.0, -0.0, np.pi / 4, np.pi / 2, np.pi, -3 * np.pi / 2, 1e-30, 86.0, -86.0, 88.0, -100.0, 1e30]
+    edges = [0.0, -0.0, np.pi / 4, np.pi / 2, np.pi, -3 * np.pi / 2, 1e-20, 86.0, -86.0, 88.0, -100.0, 1e30]
     edges += [1e-9, -0.2929, 0.4143, -0.9989, -0.9999, 1e6]
     a = np.concatenate([*angles, edges]).astype(np.float32)
     a = np.concatenate([a, np.zeros(-len(a) % 16, dtype=np.float32)])
     header = (
-        templates().get_template("lanes.h.jinja").render(NAME="T", lane_functions=["sin", "cos", "exp"], single=True)
+        templates()
+        .get_template("lanes.h.jinja")
+        .render(NAME="T", lane_functions=["sin", "cos", "exp", "log1p"], single=True)
     )
     main = (
         f"static const double a[{len(a)}] = {{{', '.join(f'{v:.9g}' if v % 1 else f'{v:.1f}' for v in a)}}};\n"
