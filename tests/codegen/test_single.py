@@ -244,27 +244,30 @@ def test_free_flight_is_tracked(tmp_path: Path, hexarotor_ocp: Ocp) -> None:
 
 
 @pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
-def test_sine_cosine_and_exponential_are_those_of_the_library(width: int, run_c: Callable[..., str]) -> None:
+def test_sine_cosine_exponential_and_logarithm_are_those_of_the_library(width: int, run_c: Callable[..., str]) -> None:
     rng = np.random.default_rng(13)
     angles = [rng.uniform(-s, s, 500) for s in (1e-3, 1.0, 10.0, 1e3, 8e3, 1e5)]
-    edges = [0.0, -0.0, np.pi / 4, np.pi / 2, np.pi, -3 * np.pi / 2, 1e-30, 86.0, -86.0, 88.0, -100.0, 1e30]
+    edges = [0.0, -0.0, np.pi / 4, np.pi / 2, np.pi, -3 * np.pi / 2, 1e-20, 86.0, -86.0, 88.0, -100.0, 1e30]
+    edges += [1e-9, -0.2929, 0.4143, -0.9989, -0.9999, 1e6]
     a = np.concatenate([*angles, edges]).astype(np.float32)
     a = np.concatenate([a, np.zeros(-len(a) % 16, dtype=np.float32)])
     header = (
-        templates().get_template("lanes.h.jinja").render(NAME="T", lane_functions=["sin", "cos", "exp"], single=True)
+        templates()
+        .get_template("lanes.h.jinja")
+        .render(NAME="T", lane_functions=["sin", "cos", "exp", "log1p"], single=True)
     )
     main = (
         f"static const double a[{len(a)}] = {{{', '.join(f'{v:.9g}' if v % 1 else f'{v:.1f}' for v in a)}}};\n"
-        f"int main(void) {{ int i, l; for (i = 0; i < {len(a)}; i += LANES) {{ lane v = {{0}}, s, c, e;"
+        f"int main(void) {{ int i, l; for (i = 0; i < {len(a)}; i += LANES) {{ lane v = {{0}}, s, c, e, g;"
         " for (l = 0; l < LANES; ++l) LANE_OF(v, l) = a[i + l];"
-        " s = lane_sin(v); c = lane_cos(v); e = lane_exp(v); for (l = 0; l < LANES; ++l)"
-        ' printf("%.9g %.9g %.9g\\n", LANE_OF(s, l), LANE_OF(c, l), LANE_OF(e, l)); } return 0; }\n'
+        " s = lane_sin(v); c = lane_cos(v); e = lane_exp(v); g = lane_log1p(v); for (l = 0; l < LANES; ++l)"
+        ' printf("%.9g %.9g %.9g %.9g\\n", LANE_OF(s, l), LANE_OF(c, l), LANE_OF(e, l), LANE_OF(g, l)); } return 0; }\n'
     )
     text = in_single_precision(f"#include <stdio.h>\n{header}\n{main}")
     quiet = ("-Wno-psabi", "-Wno-unused-function", f"-DAEROTACT_LANES={width}")
-    got = np.array([float(v) for v in run_c(text, *quiet).split()]).reshape(-1, 3)
+    got = np.array([float(v) for v in run_c(text, *quiet).split()]).reshape(-1, 4)
     wide = a.astype(float)
-    with np.errstate(over="ignore"):
-        expected = np.stack([np.sin(wide), np.cos(wide), np.exp(wide).astype(np.float32)], axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        expected = np.stack([np.sin(wide), np.cos(wide), np.exp(wide).astype(np.float32), np.log1p(wide)], axis=1)
     np.testing.assert_allclose(got[:, :2], expected[:, :2], rtol=2e-7, atol=1.2e-7)
-    np.testing.assert_allclose(got[:, 2], expected[:, 2], rtol=2e-7)
+    np.testing.assert_allclose(got[:, 2:], expected[:, 2:], rtol=2e-7)
