@@ -157,7 +157,11 @@ def test_without_hpipm_the_others_race(problem: Problem, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize(
     ("robot", "observer"),
-    [("tilt_hex", "momentum_observer"), ("tilt_rotor", "momentum_observer"), ("dual_arm_standard", "multibody_observer")],
+    [
+        ("tilt_hex", "momentum_observer"),
+        ("tilt_rotor", "momentum_observer"),
+        ("dual_arm_standard", "multibody_observer"),
+    ],
 )
 def test_laws_and_estimators_take_microseconds(robot: str, observer: str) -> None:
     blocks = time_blocks(model_of(load_robot(robot)))
