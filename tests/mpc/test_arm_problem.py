@@ -127,7 +127,7 @@ def test_hover_is_kept(arms: Ocp) -> None:
 def test_force_is_felt_through_the_springs(arms: Ocp) -> None:
     """Deflections that a push of 2 N would leave are told as 2 N, and the tool counts as in contact.
 
-    In one period and with hardly a filter: then the plan moves the servos, and these are no longer the deflections of 2 N.
+    In one period and with hardly a filter: the plan then moves the servos, and the same deflections mean another force.
     """
     model, mpc = _model(arms), _hover(arms)
     mpc.set_parameters({"force_filter": 50.0})
