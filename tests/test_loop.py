@@ -14,10 +14,11 @@ from aerotact.exceptions import LoopError
 from aerotact.experiments.reference import Hold, Waypoints, WithFlags
 from aerotact.flight import ESTIMATORS, controller_project
 from aerotact.log import Log
-from aerotact.loop import Loop, Reference, Wiring
+from aerotact.loop import Loop, Wiring
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
 from aerotact.ports import Array
+from aerotact.reference import Reference
 from aerotact.robot import load_robot
 
 LAW, MPC = "ryll2019_admittance", "tilt_hex_admittance"

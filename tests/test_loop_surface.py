@@ -12,11 +12,12 @@ from aerotact.dynamics.model import Model
 from aerotact.exceptions import LoopError
 from aerotact.experiments.reference import Hold, WithFlags
 from aerotact.flight import ESTIMATORS, SEEING, controller_project, estimator_names
-from aerotact.loop import SURFACE, Loop, Wiring
+from aerotact.loop import Loop, Wiring
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
 from aerotact.ports import BlockBuilder
 from aerotact.robot import load_robot
+from aerotact.sight import SURFACE
 
 FOLDER = Path(__file__).parent / "fixtures" / "octorotor"
 DISTANCE = 0.29  # m from the octorotor's tip at hover to the world "wall"

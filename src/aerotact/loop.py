@@ -6,83 +6,27 @@ commands the plant.
 
 import time as clock
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 
 from aerotact.controller import Controller, Status
-from aerotact.estimation.point_patch import point_patch
-from aerotact.estimation.surface_estimator import REACH
 from aerotact.exceptions import AerotactError, LoopError
 from aerotact.log import Log
-from aerotact.plant.camera import DepthCamera
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
-from aerotact.plant.surface import SurfaceAhead
-from aerotact.ports import Array, Port
+from aerotact.ports import Array
+from aerotact.recorder import Recorder
+from aerotact.reference import LiveReference, Operator, Reference, ReferenceTable
+from aerotact.sight import Sight
 
 COMMANDS = {"thrust_cmd": "thrust", "tilt_cmd": "tilt", "servo_cmd": "servo"}  # port -> argument of Plant.command
 STATE_SIGNALS = ("p_WB", "q_WB", "v_WB", "w_B")
-_TRUTH = {
-    "p_WB": ("m", "W"),
-    "q_WB": ("1", "W"),
-    "v_WB": ("m/s", "W"),
-    "w_B": ("rad/s", "B"),
-    "thrust": ("N", ""),
-    "thrust_rate": ("N/s", ""),
-    "tilt": ("rad", ""),
-    "tilt_rate": ("rad/s", ""),
-    "tilt_rate_cmd": ("rad/s", ""),
-    "joint": ("rad", ""),
-    "joint_rate": ("rad/s", ""),
-    "servo": ("rad", ""),
-    "p_tools_W": ("m", "W"),
-    "f_tools_W": ("N", "W"),
-    "objects_W": ("1", "W"),
-    "p_WE": ("m", "W"),
-    "q_WE": ("1", "W"),
-    "v_WE": ("m/s", "W"),
-    "f_tool_W": ("N", "W"),
-    "f_contact_W": ("N", "W"),
-}
-SURFACE = {
-    "surface_distance": Port(
-        "surface_distance", 1, "m", doc="from the tool's tip to the surface along the tool's axis"
-    ),
-    "n_W": Port("n_W", 3, "1", "W", doc="unit normal of the surface, towards the robot"),
-    "surface_valid": Port("surface_valid", 1, "1", doc="1 if there is a surface", kind="flag"),
-}
 WATCH_EVERY = 500  # physics steps
 LOST = 20.0  # m from the start; no experiment goes so far
-
-
-class Reference(Protocol):
-    """What is wanted over time."""
-
-    def sample(self, times: Array) -> Mapping[str, Array]:
-        """Signal -> array (len(times), size) for every reference port that it serves."""
-
-
-@runtime_checkable
-class Operator(Reference, Protocol):
-    """A reference that decides as it goes: what it says of now and later may change with what it hears.
-
-    Attributes:
-        ports: signals that it serves for the log alone.
-    """
-
-    ports: Sequence[Port]
-
-    def decide(self, time: float, heard: Mapping[str, Array]) -> None:
-        """Hear, before each step of the outermost controller, what controllers could and where the world's objects are.
-
-        Args:
-            time: s.
-            heard: measurements and estimates by name, and `objects_W` of `Plant.truth` if there are any.
-        """
 
 
 @dataclass(frozen=True)
@@ -154,7 +98,7 @@ class Loop:
             **sensors.joints.samples(),
             "mocap_fresh": np.zeros(1),
         }
-        self._sight = _Sight(plant, sensors.depth_camera) if sensors.depth_camera else None
+        self._sight = Sight(plant, sensors.depth_camera) if sensors.depth_camera else None
         if self._sight:
             self._bus.update(self._sight.patch())
             if wiring.truth:
@@ -202,14 +146,14 @@ class Loop:
         dt = self.plant.timestep
         steps = round(duration / dt)
         reference = self.wiring.reference
-        table = _LiveReference if isinstance(reference, Operator) else _ReferenceTable
+        table = LiveReference if isinstance(reference, Operator) else ReferenceTable
         tables = [table(e, reference, self._imu_every, steps, dt) for e in self.estimators]
         given: list[dict[str, Array]] = [{}, *self._handed]
         wanted = [
             table(c, reference, every, steps, dt, without=handed)
             for c, every, handed in zip(self.controllers, self._control_every, given, strict=True)
         ]
-        recorder = _Recorder(self.plant, self.controllers, given, reference, steps, self._sight, self._bus)
+        recorder = Recorder(self.plant, self.controllers, given, reference, steps, self._sight, self._bus)
         self._solve_times: list[float] = []
         self._statuses = {block.name: Counter[str]() for block in (*self.estimators, *self.controllers)}
         pending = [deque[tuple[int, Callable[[], None]]]() for _ in self.controllers]
@@ -263,7 +207,7 @@ class Loop:
         if distance > LOST:
             raise LoopError(f"the robot is lost at {time:.2f} s: {distance:.0f} m from where it began")
 
-    def _sense(self, k: int, tables: Sequence["_ReferenceTable | _LiveReference"]) -> None:
+    def _sense(self, k: int, tables: Sequence[ReferenceTable | LiveReference]) -> None:
         bus = self._bus
         bus.update(self.sensors.imu())
         bus.update(self.sensors.rotor_speed())
@@ -288,7 +232,7 @@ class Loop:
         if self._sight and self.wiring.truth:
             bus.update(self._sight.truth())
 
-    def _control(self, k: int, level: int, table: "_ReferenceTable | _LiveReference") -> float:
+    def _control(self, k: int, level: int, table: ReferenceTable | LiveReference) -> float:
         controller = self.controllers[level]
         table.write(k)
         for name, view in controller.measurement.items():
@@ -339,167 +283,3 @@ def _writer(values: Mapping[str, tuple[Array, Array]]) -> Callable[[], None]:
             view[:] = value
 
     return write
-
-
-class _Sight:
-    """The surface ahead of the tool: as it is, and as the depth camera shows it."""
-
-    def __init__(self, plant: Plant, camera: DepthCamera) -> None:
-        self.rate = camera.rate
-        self._camera = camera
-        self._ahead = SurfaceAhead(plant, REACH)
-
-    def truth(self) -> dict[str, Array]:
-        """The signals of SURFACE by the world's geometry."""
-        return self._ahead.sample()
-
-    def patch(self) -> dict[str, Array]:
-        """The points about the tool's axis in a new frame of the camera."""
-        camera = self._camera
-        return point_patch(camera.points(), camera.p_EC, camera.R_EC)
-
-
-class _ReferenceTable:
-    """The references of one block at all its steps, sampled once; `without` are those that something else gives."""
-
-    def __init__(
-        self,
-        block: Controller,
-        reference: Reference,
-        every: int,
-        steps: int,
-        dt: float,
-        without: Collection[str] = (),
-    ) -> None:
-        self._every = every
-        nodes = np.array(block.manifest.get("times_s", [0.0]))
-        times: Array = np.arange(0, steps, every) * dt
-        single = reference.sample(times)
-        preview = reference.sample((times[:, None] + nodes).ravel()) if len(nodes) > 1 else single
-        self._rows: list[tuple[Array, Array]] = []
-        for name, view in block.reference.items():
-            if name in without:
-                continue
-            source = preview if view.ndim > 1 else single
-            if name not in source:
-                raise LoopError(f"nothing serves the reference {name} of {block.name}; there is: {', '.join(source)}")
-            self._rows.append((view, np.asarray(source[name]).reshape(len(times), *view.shape)))
-
-    def write(self, k: int) -> None:
-        """Put the values of physics step k into the block."""
-        row = k // self._every
-        for view, table in self._rows:
-            view[:] = table[row]
-
-
-class _LiveReference:
-    """The references of one block, asked of an operator at each of its steps."""
-
-    def __init__(
-        self,
-        block: Controller,
-        reference: Reference,
-        every: int,
-        steps: int,
-        dt: float,
-        without: Collection[str] = (),
-    ) -> None:
-        self._reference, self._dt = reference, dt
-        self._nodes = np.array(block.manifest.get("times_s", [0.0]))
-        self._views = {name: view for name, view in block.reference.items() if name not in without}
-        served = reference.sample(np.zeros(1))
-        for name in self._views:
-            if name not in served:
-                raise LoopError(f"nothing serves the reference {name} of {block.name}; there is: {', '.join(served)}")
-
-    def write(self, k: int) -> None:
-        """Put the values of physics step k into the block."""
-        if self._views:
-            said = self._reference.sample(k * self._dt + self._nodes)
-            for name, view in self._views.items():
-                view[:] = said[name] if view.ndim > 1 else said[name][0]
-
-
-def _declared(port: Mapping[str, Any], suffix: str = "") -> Port:
-    """A port of a manifest; of a preview the part that is now."""
-    return Port(f"{port['name']}{suffix}", port["size"], port["unit"], port["frame"], kind=port["kind"])
-
-
-class _Recorder:
-    """Preallocated rows, one a physics step: truth, what was wanted then, what the controllers got and gave.
-
-    Of what several controllers give or get under one name, the innermost's is kept.
-    """
-
-    def __init__(
-        self,
-        plant: Plant,
-        controllers: Sequence[Controller],
-        given: Sequence[Collection[str]],
-        reference: Reference,
-        steps: int,
-        sight: _Sight | None,
-        bus: Mapping[str, Array],
-    ) -> None:
-        self._plant, self._controllers, self._sight, self._bus = plant, controllers, sight, bus
-        truth = plant.truth()
-        self._truth_names = list(truth)
-        groups = [c.manifest["ports"] for c in controllers]
-        wanted = {
-            p["name"]: _declared(p)
-            for ports, handed in zip(groups, given, strict=True)
-            for p in ports["reference"]
-            if p["name"] not in handed
-        }
-        said = {p["name"]: _declared(p) for ports in groups for p in ports["output"]}
-        heard = {p["name"]: _declared(p, "_est") for ports in groups for p in ports["measurement"]}
-        columns = [
-            Port("time", 1, "s"),
-            *(Port(n, v.size, *_TRUTH[n], kind="quaternion" if n[0] == "q" else "vector") for n, v in truth.items()),
-            *wanted.values(),
-            *said.values(),
-            *heard.values(),
-        ]
-        # What is estimated is logged even if the controller does not ask for it.
-        self._unasked = [n for n in SURFACE if n in bus and n not in heard]
-        if sight:
-            columns += SURFACE.values()
-            columns += [replace(SURFACE[n], name=f"{n}_est") for n in self._unasked]
-        self._live = reference if isinstance(reference, Operator) else None
-        self._wanted, self._asked = list(wanted), round(1.0 / (controllers[0].rate * plant.timestep))
-        if self._live:
-            columns += self._live.ports
-            self._wanted += [port.name for port in self._live.ports]
-        self._ports = {port.name: port for port in columns}
-        self._arrays = {name: np.full((steps, port.size), np.nan) for name, port in self._ports.items()}
-        times: Array = np.arange(steps) * plant.timestep
-        self._arrays["time"][:, 0] = times
-        # Wanted is what the reference says at the row's time, and not what a slow controller last heard of it.
-        if not self._live:
-            samples = reference.sample(times)
-            for name in self._wanted:
-                self._arrays[name][:] = samples[name]
-
-    def record(self, k: int) -> None:
-        """Row k."""
-        arrays, truth = self._arrays, self._plant.truth()
-        for name in self._truth_names:
-            arrays[name][k] = truth[name]
-        if self._live:
-            said = self._live.sample(arrays["time"][k]) if k % self._asked == 0 else None
-            for name in self._wanted:
-                arrays[name][k] = said[name][0] if said else arrays[name][k - 1]
-        for controller in self._controllers:
-            for name, value in controller.output.items():
-                arrays[name][k] = value
-            for name, value in controller.measurement.items():
-                arrays[f"{name}_est"][k] = value
-        if self._sight:
-            for name, value in self._sight.truth().items():
-                arrays[name][k] = value
-            for name in self._unasked:
-                arrays[f"{name}_est"][k] = self._bus[name]
-
-    def first(self, rows: int) -> tuple[dict[str, Array], dict[str, Port]]:
-        """Columns of the first `rows` rows, and their ports."""
-        return {name: array[:rows] for name, array in self._arrays.items()}, self._ports

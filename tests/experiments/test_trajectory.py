@@ -16,8 +16,8 @@ from aerotact.experiments.trajectory import (
     rest_to_rest,
     smooth_step,
 )
-from aerotact.loop import Reference
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 STEP = 1e-4  # s, of the finite differences
 START_P, START_Q = np.array([0.3, -0.2, 1.1]), np.array([0.5, -0.5, 0.5, 0.5])

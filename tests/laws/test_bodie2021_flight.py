@@ -15,12 +15,13 @@ from aerotact.estimation import estimators
 from aerotact.estimation.calibration import centre_of_mass
 from aerotact.laws import laws
 from aerotact.log import Log
-from aerotact.loop import Loop, Reference, Wiring
+from aerotact.loop import Loop, Wiring
 from aerotact.plant.disturbance import Disturbance, ToolForce
 from aerotact.plant.mismatch import CentreOfMassError
 from aerotact.plant.plant import Plant
 from aerotact.plant.sensors import Sensors
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 LAW = "bodie2021_impedance_force"
 RATE = 200.0

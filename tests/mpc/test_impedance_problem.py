@@ -12,10 +12,10 @@ from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.reference import Together, Waypoints, WithFlags
 from aerotact.flight import Options, fly
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric
 from aerotact.plant.disturbance import Disturbance, ToolForce
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 PUSH = (-3.0, 2.0, 0.0)  # N, from 3 s to 7 s
 M_FREE, K_LIN = 5.0, 100.0  # Table IV, experiments B and C

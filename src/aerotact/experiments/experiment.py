@@ -7,10 +7,10 @@ from typing import Protocol
 
 from aerotact.dynamics.model import Model
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric
 from aerotact.plant.disturbance import Disturbance
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 Parameters = Mapping[str, float | Sequence[float]]
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from aerotact.loop import Reference
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 _STEP = 1e-4  # s, of the difference that gives the angular acceleration
 

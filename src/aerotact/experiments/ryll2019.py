@@ -14,11 +14,11 @@ from aerotact.dynamics.model import Model
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.reference import Hold, Waypoints, WithFlags
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, rmse
 from aerotact.plant.disturbance import Disturbance, ToolForce
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 # Property shaping. The paper gives mass and dead zone; the times and the point of attack are assumed.
 PULL = 0.14 * 9.81  # N, along x of W: a hanging mass of 0.14 kg

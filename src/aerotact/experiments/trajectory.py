@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerotact.exceptions import InputError
-from aerotact.loop import Reference
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 _LAWS = {
     5: np.polynomial.Polynomial([0, 0, 0, 10, -15, 6]),

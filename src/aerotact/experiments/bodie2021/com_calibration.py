@@ -21,12 +21,12 @@ from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.reference import Together, WithFlags
 from aerotact.experiments.trajectory import Move, rest_to_rest
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plant.mismatch import CentreOfMassError
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 from aerotact.robot import load_robot
 
 OFFSET = (0.005, -0.005, 0.005)  # m in B

@@ -15,9 +15,9 @@ from aerotact.experiments.contact_pose import ContactPose
 from aerotact.experiments.force_profile import RAMP_SHARE, ForceProfile, press
 from aerotact.experiments.reference import Together, WithFlags
 from aerotact.experiments.trajectory import Move, Sampled, rest_to_rest
-from aerotact.loop import Reference
 from aerotact.metrics import in_band, push_force
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 APPROACH, WAIT, RETREAT = 2.0, 0.5, 1.5  # s
 UPRIGHT = np.radians(10.0)

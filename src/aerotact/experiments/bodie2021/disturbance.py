@@ -13,12 +13,12 @@ from aerotact.experiments.bodie2021.wall import CALIBRATE, ForceSteps
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.reference import Hold, Together, WithFlags
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, in_band
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plant.hand_push import HandPush
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 # The push is not printed. A hand brings stick or wall to 5 mm before the tip, goes on by 85 mm within 2 s and back
 # within 2 s, half a cosine each; the tool is pushed as long as it is touched.

@@ -18,11 +18,11 @@ from aerotact.experiments.bodie2021.wall import (
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.reference import Together
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, push_force
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 STEPS = ((9.0, 5.0), (14.0, 10.0), (19.0, 20.0), (24.0, 5.0))  # s and N
 END = 29.0  # s

@@ -18,11 +18,11 @@ from aerotact.experiments.contact_pose import ContactPose, contact_attitude, con
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.survey import survey
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, in_band, push_force, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 WORLD = "concrete_block"
 POINTS, SPACING = 9, 0.05  # m

@@ -18,11 +18,11 @@ from aerotact.experiments.force_profile import ForceProfile, press
 from aerotact.experiments.reference import Together, WithFlags
 from aerotact.experiments.trajectory import Move, Sampled, rest_to_rest
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, push_force, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 FORCE, D_MAX = 5.0, TABLE_IV["C"]["d_max"]  # N, m
 RAMPS = press(9.0, 19.0, FORCE)

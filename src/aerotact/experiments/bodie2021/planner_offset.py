@@ -13,11 +13,11 @@ from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.force_profile import ForceProfile, press
 from aerotact.experiments.reference import Together
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, in_band, push_force
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 FORCE = 5.0  # N
 RAMPS = press(9.0, 19.0, FORCE)

@@ -17,12 +17,12 @@ from aerotact.experiments.force_profile import ForceProfile, Ramp
 from aerotact.experiments.reference import Together, Waypoints, WithFlags
 from aerotact.experiments.trajectory import Chain, Line, Sampled, TimeScaled, chord_lengths
 from aerotact.log import LOG_RATE, Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, in_band, push_force, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plant.mismatch import ToolYawError
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 from aerotact.robot import load_robot
 
 RAMP = (8.5, 10.0)  # s, of the force

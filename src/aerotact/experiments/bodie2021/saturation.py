@@ -21,11 +21,11 @@ from aerotact.experiments.force_profile import ForceProfile, Ramp
 from aerotact.experiments.reference import Together, WithFlags
 from aerotact.experiments.trajectory import Move, Sampled, rest_to_rest
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, in_band, push_force, rmse
 from aerotact.plant.disturbance import Disturbance, Wind
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 from aerotact.resources import find_robot
 
 PITCH = 30.0  # degrees, nose down

@@ -17,12 +17,12 @@ from aerotact.experiments.contact_pose import ContactPose
 from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.surface_map import map_surfaces
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, in_band, push_force, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plant.plant import Plant
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 from aerotact.robot import load_robot
 
 WORLD = "undulating_wall"

@@ -8,8 +8,8 @@ import numpy as np
 from aerotact.dynamics.model import Model
 from aerotact.experiments.reference import WithFlags
 from aerotact.experiments.trajectory import Move, rest_to_rest
-from aerotact.loop import Reference
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 WALL = 1.0
 """x of the face of the world `wall`, which looks along -x, m."""

@@ -13,7 +13,6 @@ from aerotact.experiments.suarez2020.schedule import Schedule
 from aerotact.laws.suarez2020.bench_arms import suarez2020_arms
 from aerotact.laws.suarez2020.bimanual import bar_goals
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, rmse
 from aerotact.plant.clamp import Clamp
 from aerotact.plant.disturbance import Disturbance
@@ -22,6 +21,7 @@ from aerotact.plant.placement import Placement
 from aerotact.plant.plug import Plug
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 LAW, RATE = "suarez2020_arms", 200.0
 ROLL = 0.6  # rad, of the shoulders, so that the forearms can push and pull sideways

@@ -12,11 +12,11 @@ from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, STANDARD, resting
 from aerotact.experiments.suarez2020.pendulum import swing, tilt
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 END, SETTLED = 60.0, 5.0  # s
 

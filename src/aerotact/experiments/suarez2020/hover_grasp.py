@@ -13,12 +13,12 @@ from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM, TOOLS
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, STANDARD, Grasp, hovering, with_arms
 from aerotact.experiments.suarez2020.pendulum import swing
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plant.gust import Gust
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 START, SETTLED, END = 2.0, 6.0, 56.0  # s
 # Air, assumed: the paper names aerodynamic effects in its testbed and gives no numbers. Standard deviations, N, time

@@ -11,13 +11,13 @@ from aerotact.experiments.experiment import Case, ControllerSpec, PaperNumber
 from aerotact.experiments.suarez2020.schedule import Schedule
 from aerotact.laws.suarez2020.joint_control import suarez2020_joint_control
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, rmse
 from aerotact.plant.clamp import Clamp
 from aerotact.plant.disturbance import Disturbance, ToolForce
 from aerotact.plant.placement import Placement
 from aerotact.plots import label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 LAW, RATE = "suarez2020_joint_control", 50.0
 STEP, BACK = 2.0, 5.0  # s

@@ -16,11 +16,11 @@ from aerotact.experiments.suarez2020.controllers import PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, STANDARD, hovering
 from aerotact.experiments.suarez2020.pendulum import swing
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric
 from aerotact.plant.disturbance import Disturbance, ToolForce
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 from aerotact.robot import load_robot
 
 PUSH = 2.0  # N, by the arm on the environment, as in VI-B

@@ -12,12 +12,12 @@ from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, with_arms
 from aerotact.experiments.suarez2020.mission import ArmTask, Mission, Phase, Vector
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plant.placement import Placement
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 PIPE, RADIUS = np.array([1.5, 0.15, 1.1]), 0.1
 """A point of the pipe's axis ahead of the left arm, and its radius, m; world `pipe`."""

@@ -12,11 +12,11 @@ from aerotact.experiments.suarez2020.controllers import LQR, MPC, PID, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, resting
 from aerotact.experiments.suarez2020.pendulum import settled, swing
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 START, FLIES, STOP, STANDS, END = 2.0, 3.25, 7.0, 7.5, 13.0  # s
 AHEAD, BACK = 0.8, 2.0  # m/s2; 1 m/s between

@@ -12,12 +12,12 @@ from aerotact.experiments.suarez2020.controllers import ATTITUDE_HOLD, LQR, MPC,
 from aerotact.experiments.suarez2020.flight_plan import LONG_REACH, resting, with_arms
 from aerotact.experiments.suarez2020.pendulum import settled, swing
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric
 from aerotact.plant.displaced import Displaced
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 RELEASED = float(np.deg2rad(10.0))
 END = 8.0  # s

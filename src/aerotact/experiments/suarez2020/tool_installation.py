@@ -13,13 +13,13 @@ from aerotact.experiments.suarez2020.controllers import MPC, PLATFORM
 from aerotact.experiments.suarez2020.flight_plan import STANDARD, with_arms
 from aerotact.experiments.suarez2020.mission import ArmTask, Mission, Phase, Scene, Steering, Vector
 from aerotact.log import Log
-from aerotact.loop import Reference
 from aerotact.metrics import Metric, rmse
 from aerotact.plant.disturbance import Disturbance
 from aerotact.plant.hook import Hook
 from aerotact.plant.placement import Placement
 from aerotact.plots import COLOURS, label, panels, save
 from aerotact.ports import Array
+from aerotact.reference import Reference
 
 BENCH, PIPE = np.array([1.2, -0.8, 1.0]), np.array([1.2, 0.8, 1.1])
 """Points of the axes on which the tool sits, m; world `pipe_and_bench`."""
