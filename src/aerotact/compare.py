@@ -198,7 +198,7 @@ def _cell(statistic: Statistic | None, scale: float) -> str:
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """The table for a terminal of 80 columns."""
+    """The table for a terminal; where it is narrow, cells are wrapped and nothing is cut off."""
     header, rows = comparison_rows(comparison)
     seeds = len(comparison.seeds)
     spread = f"mean ± std over {seeds} seeds" if seeds > 1 else "one seed"
@@ -207,7 +207,7 @@ def comparison_table(comparison: Comparison) -> Table:
     title = f"{comparison.experiment}, {spread}"
     table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True)
     for i, name in enumerate(header):
-        table.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
+        table.add_column(name, justify="left" if i == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table

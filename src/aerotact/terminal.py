@@ -1,6 +1,7 @@
 """Terminal: how commands speak, show progress and write what they are asked for."""
 
 import os
+import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -8,7 +9,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from aerotact.exceptions import InputError
 
-console = Console()
+FILE_WIDTH = 160  # columns of a table that goes into a file or a pipe
+
+console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH)
 errors = Console(stderr=True)
 
 
