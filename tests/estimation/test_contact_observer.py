@@ -78,6 +78,15 @@ def test_contact_outlives_a_short_loss_and_no_long_one(observed: Observed) -> No
     assert observed.run(0.4, 0.0 * N_W)["contact"] == 0
 
 
+def test_a_drifting_sensor_holds_no_contact_with_a_surface_far_away(observed: Observed) -> None:
+    drift = 0.3 * N_W  # more than lost_force
+    observed.run(0.3, 2.0 * N_W)
+    assert observed.run(0.5, drift)["contact"] == 1
+    assert observed.run(0.15, drift, surface_distance=0.05)["contact"] == 1
+    assert observed.run(0.5, drift, surface_valid=0.0)["contact"] == 1  # unseen: the force alone tells
+    assert observed.run(0.25, drift, surface_distance=0.05)["contact"] == 0
+
+
 def test_the_tools_force_is_no_disturbance_in_contact_and_one_away_from_it(observed: Observed) -> None:
     """At rest under hover thrust with 5 N at the tool, something else must push with -5 N."""
     push = 5.0 * N_W

@@ -33,8 +33,9 @@ def contact_observer(model: Model, rate: float) -> Block:
     Force: the residual m s_C - f_rotors - f_tip, s_C being the specific force at the centre of mass, through a
     first-order filter of bandwidth L; torque: that of the angular momentum, bandwidth K_I (ryll2019 (19), (23) less the
     tip's wrench). Contact begins when the low-passed normal force exceeds `contact_force` within `contact_distance` of
-    the surface seen, and ends when it stays below `lost_force` for `lost_time`. The coefficient of friction follows the
-    ratio of the forces while the tip slides.
+    the surface seen. It ends after `lost_time` below `lost_force` or beyond that distance: a sensor that drifts must
+    not hold a contact in free flight. The coefficient of friction follows the ratio of the forces while the tip
+    slides.
 
     While `calibrate` is 1 (contact-free hover) the mean reading of the force sensor is learnt, and held while it is 0.
 
@@ -62,9 +63,9 @@ def contact_observer(model: Model, rate: float) -> Block:
     low_pass = b.parameter("low_pass", 1, "Hz", 20.0, doc="cut-off of the normal force", lower=0.0)
     friction_rate = b.parameter("friction_rate", 1, "rad/s", 3.0, doc="bandwidth of the friction", lower=0.0)
     contact_force = b.parameter("contact_force", 1, "N", 0.8, doc="that begins a contact", lower=0.0)
-    contact_distance = b.parameter("contact_distance", 1, "m", 0.012, doc="within which it may begin", lower=0.0)
+    contact_distance = b.parameter("contact_distance", 1, "m", 0.012, doc="beyond which there is none", lower=0.0)
     lost_force = b.parameter("lost_force", 1, "N", 0.1, doc="below which a contact ends", lower=0.0)
-    lost_time = b.parameter("lost_time", 1, "s", 0.2, doc="for which it must stay below", lower=0.0)
+    lost_time = b.parameter("lost_time", 1, "s", 0.2, doc="for which it must stay so or away", lower=0.0)
 
     settle_time = b.parameter(
         "settle_time", 1, "s", 0.02, doc="of unbroken force after which the tip counts as resting", lower=0.0
@@ -84,7 +85,7 @@ def contact_observer(model: Model, rate: float) -> Block:
     normal = b.state("normal_force", 1, "N", doc="low-passed normal force")
     contact = b.state("contact", 1, "1", kind="flag", doc="1 in contact") > 0
     pressed = b.state("pressed", 1, "s", doc="time of unbroken force in contact")
-    lost = b.state("lost", 1, "s", doc="time below lost_force")
+    lost = b.state("lost", 1, "s", doc="time below lost_force or away")
     friction = b.state("friction", 1, "1", doc="coefficient of friction", default=(0.4,))
 
     # the tool's wrench, of the environment on the robot
@@ -117,9 +118,11 @@ def contact_observer(model: Model, rate: float) -> Block:
     z_E = so3.rotation(so3.product(base.q_WB, ca.DM(model.q_BE)))[:, 2]
     felt = ca.dot(n, f_tip_W)
     normal_next = normal + first_order_gain(2 * np.pi * low_pass, period) * (felt - normal)
-    near = ca.logic_and(valid > 0, -distance * ca.dot(n, z_E) < contact_distance)
+    within = -distance * ca.dot(n, z_E) < contact_distance
+    near = ca.logic_and(valid > 0, within)
     begins = ca.logic_and(near, normal_next > contact_force)
-    lost_next = ca.if_else(normal_next < lost_force, lost + period, 0)
+    away = ca.logic_and(valid > 0, ca.logic_not(within))
+    lost_next = ca.if_else(ca.logic_or(normal_next < lost_force, away), lost + period, 0)
     contact_next = ca.if_else(contact, lost_next < lost_time, begins)
 
     # the tip's acceleration by all that is known but a disturbance force: one along n makes it 1/m larger a newton
