@@ -25,7 +25,7 @@ ORDER = (
     ("codegen",),
     ("controller", "qp"),
     ("plant",),
-    ("log", "loop", "metrics", "plots"),
+    ("log", "reference", "sight", "recorder", "loop", "metrics", "plots"),
     ("experiments",),
     ("flight",),
     ("check_joints", "check", "compare", "report", "sweep"),
